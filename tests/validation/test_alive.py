@@ -16,7 +16,7 @@ from carecontact.world.scene import Scene, build_scene
 
 
 def still_skin(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    """The visible skin over the belly does not breathe."""
+    """The visible skin over the abdomen does not breathe."""
     scene = build_scene(protocol, target=target, skin=skin)
     model = scene.model
     # Each vertex keeps its weights, on a body that stays.
@@ -38,7 +38,7 @@ def missed(measures: list[Measure]) -> list[str]:
 
 
 def paralysed(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
-    """Nothing drives the breath: the belly's servo has no force. Posed slides would move the skin all the same."""
+    """Nothing drives the breath: the abdomen's servo has no force. Posed slides would move the skin all the same."""
     scene = build_scene(protocol, target=target, skin=skin)
     servo = scene.model.actuator("breathes_abdomen")
     servo.gainprm[:], servo.biasprm[:] = 0.0, 0.0

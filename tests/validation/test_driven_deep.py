@@ -1,4 +1,4 @@
-"""The robot's tool, driven into the belly: what the skin holds, and how a tool that goes through is caught."""
+"""The robot's tool, driven into the abdomen: what the skin holds, and how a tool that goes through is caught."""
 
 from __future__ import annotations
 

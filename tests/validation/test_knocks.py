@@ -60,7 +60,7 @@ def test_a_blow_of_5_kg_meets_the_springs_and_not_the_trunks_mass() -> None:
 
 
 class GivesWay(Simulation):
-    """The belly's skin holds nothing from 50 ms on."""
+    """The abdomen's skin holds nothing from 50 ms on."""
 
     def advance(self, steps: int):
         if self.time_s > 0.05:
@@ -70,8 +70,8 @@ class GivesWay(Simulation):
 
 
 def struck(kind: type[Simulation], mass_kg: float, speed_m_s: float) -> Blow:
-    """A blow of the ball onto the belly in a simulation of this kind."""
-    belly = next(site for site in sites(Build()) if site.name == "belly")
+    """A blow of the ball onto the abdomen in a simulation of this kind."""
+    belly = next(site for site in sites(Build()) if site.name == "abdomen")
     simulation = kind(knocks.with_striker(Subject(PROTOCOL).scene("forearm"), mass_kg, belly.ball_m))
     simulation.settle(COMFORT_ARM_DEG)
     simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
@@ -145,7 +145,7 @@ def test_the_scan_finds_where_a_knock_beside_the_middle_is_harder_and_decides_no
     chest = "chest, 0 mm headward, 30 mm to the right, 5 kg at 0.2 m/s"
     assert told[f"{chest}: off the prediction of 35.6 N"].value > 100
     assert told[f"{chest}: largest force on something else"].value > 50
-    belly = "belly, -80 mm headward, 60 mm to the right, 10 kg at 0.25 m/s"
+    belly = "abdomen, -80 mm headward, 60 mm to the right, 10 kg at 0.25 m/s"
     assert told[f"{belly}: impulse over momentum before it goes through"].met is False
 
 
@@ -175,7 +175,7 @@ def test_outward_of_the_chests_middle_and_between_the_thighs_the_newest_person_i
 
 
 def test_a_hard_blow_on_the_newest_persons_belly_ends_on_a_spring_and_not_on_rigid_bone() -> None:
-    belly = next(site for site in sites(Build()) if site.name == "belly")
+    belly = next(site for site in sites(Build()) if site.name == "abdomen")
     peaks = []
     for protocol in (PROTOCOL, NEWEST):
         simulation = Simulation(knocks.with_striker(Subject(protocol).scene("forearm"), 10.0, belly.ball_m))
@@ -202,7 +202,7 @@ def test_more_is_claimed_of_the_newest_person() -> None:
     assert new.predicts(a_blow())
     assert not old.predicts(on_two)
     assert new.predicts(on_two)
-    unpredicted = {"site": "belly", "predicted_n": np.nan, "most_n": 50.0}
+    unpredicted = {"site": "abdomen", "predicted_n": np.nan, "most_n": 50.0}
     robot, harder, hardest = (a_blow(mass_kg=mass, **unpredicted) for mass in (2.4, 3.0, 10.0))
     assert [(old.holds(blow), new.holds(blow)) for blow in (robot, harder, hardest)] == [
         (True, True), (False, True), (False, False),
@@ -218,5 +218,5 @@ def test_a_site_that_evades_must_not_be_harder_than_predicted_and_may_be_softer(
     soft, hard = (decided(a_blow(evades=True, held=0.5, peak_n=peak)) for peak in (100.0, 500.0))
     assert soft == {"harder than the prediction of 350.0 N": True, "impulse over momentum": True}
     assert hard == {"harder than the prediction of 350.0 N": False, "impulse over momentum": True}
-    belly = decided(a_blow(site="belly", predicted_n=np.nan, most_n=100.0, peak_n=140.0))
-    assert belly["harder than the spring of the belly, 100.0 N"] is False
+    belly = decided(a_blow(site="abdomen", predicted_n=np.nan, most_n=100.0, peak_n=140.0))
+    assert belly["harder than the spring of the abdomen, 100.0 N"] is False

@@ -91,7 +91,7 @@ def rattling(known: Set[ScrubLimit]) -> list[Measure]:
         time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), steady=np.ones(1000, bool), friction=np.full(9, 0.5),
         sliding=np.ones(9),
     )  # fmt: skip
-    return done.measures("belly", wanted=15.0, friction=0.5, known=known)
+    return done.measures("abdomen", wanted=15.0, friction=0.5, known=known)
 
 
 def test_a_rattling_scrub_fails_also_where_the_miss_is_known() -> None:
@@ -99,7 +99,7 @@ def test_a_rattling_scrub_fails_also_where_the_miss_is_known() -> None:
     for limit, known in limits:
         measures = tuple(rattling({limit}))
         result = CheckResult(check="smoothness", title="made up", measures=measures)
-        assert [m.name for m in result.missed] == ["belly: force noise above 20 Hz, rms"]
+        assert [m.name for m in result.missed] == ["abdomen: force noise above 20 Hz, rms"]
         assert not result.passed
         assert result.fails_as_known is known
 
@@ -112,7 +112,7 @@ def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(perio
         time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), steady=np.ones(1000, bool),
         friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
     )  # fmt: skip
-    measures = done.measures("belly", wanted=15.0, friction=0.5)
+    measures = done.measures("abdomen", wanted=15.0, friction=0.5)
     assert {m.name.partition(": ")[2].partition(" ")[0] for m in measures if m.met is False} == missed
 
 
@@ -122,7 +122,7 @@ def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
     still = Scrub(
         time_s=time, force_n=np.full(100, 5.0), steady=np.zeros(100, bool), friction=none, sliding=none
     )  # fmt: skip
-    missed = {m.name for m in still.measures("belly", wanted=5.0, friction=0.5)
+    missed = {m.name for m in still.measures("abdomen", wanted=5.0, friction=0.5)
               if m.met is False}  # fmt: skip
     assert {name.partition(": ")[2] for name in missed} >= {
         "force noise above 20 Hz, rms",

@@ -32,7 +32,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def newest() -> Scene:
-    """man-old-heavy, of whom person-v1 shows 2.2 mm too little at the belly's rim and 2.7 mm on the chest."""
+    """man-old-heavy, of whom person-v1 shows 2.2 mm too little at the abdomen's rim and 2.7 mm on the chest."""
     rules = overridden(load_protocol("bathing-v3-draft"), {"person.body": "man-old-heavy"})
     return build_scene(living(Alive(breathing=Breathing()), rules), target="abdomen")
 

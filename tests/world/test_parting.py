@@ -40,7 +40,7 @@ def test_no_hull_reaches_into_another_one(body: Body) -> None:
 
 
 def test_no_vertex_of_the_trunks_front_is_left_without_a_plate(body: Body) -> None:
-    """Apart from the belly's, which its shell covers."""
+    """Apart from the abdomen's, which its shell covers."""
     low, high = belly_span(body)
     found = np.concatenate(list(parted(body).values()))
     for vertex in body.vertices_of("thorax", "abdomen", "pelvis"):

@@ -224,7 +224,7 @@ def test_person_lies_on_the_back_on_the_bed_head_to_plus_x(scene: Scene) -> None
     top = PROTOCOL.scene.mattress_top_m
     assert all(top - 0.01 < p[2] < top + 0.35 for p in at.values())
     assert max(abs(at[s][0]) for s in ("head", "right_foot", "left_foot")) < 1.0
-    # The belly's region frame points to the ceiling and to the head.
+    # The abdomen's region frame points to the ceiling and to the head.
     x, _, z = data.site("region_abdomen").xmat.reshape(3, 3).T
     # The trunk lies within 1.5 degrees of level.
     assert (x[0], z[2]) == pytest.approx((1.0, 1.0), abs=1e-3)

@@ -156,7 +156,7 @@ def test_coarser_tissue_makes_a_coarser_shell_of_the_same_area(body: Body, regio
 
 
 def test_region_frame(body: Body, region: str, shell: Shell) -> None:
-    """x from elbow to hand (belly: to the head), z out of the middle of the patch."""
+    """x from elbow to hand (abdomen: to the head), z out of the middle of the patch."""
     np.testing.assert_allclose(shell.frame.T @ shell.frame, np.eye(3), atol=1e-12)
     assert np.linalg.det(shell.frame) == pytest.approx(1)
     x, _, z = shell.frame.T

@@ -72,7 +72,7 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/cell_shear_ns": ("f4", "(P, C) size of the friction force times time, summed over the period"),
     "scorer/cell_slip_m3": ("f4", "(P, C) distance that the tool slid times area, summed over the period"),
     "scorer/cell_touch_m2s": ("f4", "(P, C) area in contact times time, summed over the period"),
-    "scorer/breath_m": ("f4", "(P, 2) how far out belly and chest are, from the end of a breath out"),
+    "scorer/breath_m": ("f4", "(P, 2) how far out abdomen and chest are, from the end of a breath out"),
     "scorer/muscle_torque_nm": ("f4", "(P, 4) the person's own, at the joints of kernel.life.JOINTS, in the last step"),
     "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
     "scorer/repositioning_s": ("f8", "(E,) when the person changes the arm's place, drawn before the trial"),

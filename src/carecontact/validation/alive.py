@@ -197,5 +197,5 @@ def draw(result: CheckResult, figure: Figure) -> None:
     for number, (name, (time, felt, expected)) in enumerate(result.curves.items()):
         axes.plot(time, felt, color=f"C{number}", label=f"breathing, {name}")
         axes.plot(time, expected, ":", color=f"C{number}", label="held breaths")
-    axes.set(xlabel="time [s]", ylabel="force [N]", title="a fixed tool on the belly through a breath")
+    axes.set(xlabel="time [s]", ylabel="force [N]", title="a fixed tool on the abdomen through a breath")
     axes.legend()

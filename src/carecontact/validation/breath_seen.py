@@ -1,7 +1,7 @@
 """What cameras see of a breath that the person draws: how far the visible skin moves, and what the depth image shows.
 
 The breath is driven by simulated time. Everything is compared between its beginning and the end of breathing in, at
-every vertex of the belly's soft region and over the plates of the chest.
+every vertex of the abdomen's soft region and over the plates of the chest.
 """
 
 from __future__ import annotations

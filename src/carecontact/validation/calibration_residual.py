@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 TITLE = "Calibration residual"
 NRMSE_LIMIT_PERCENT, WORST_LIMIT_PERCENT = 5.0, 10.0
 """Limits of the error of the mean over held-out places, since the references are means or medians over people and, on
-the belly, over five sites; and of the error at the worst single place, whose curvature is the body's own."""
+the abdomen, over five sites; and of the error at the worst single place, whose curvature is the body's own."""
 DEPTH_SHARES = (0.1, 0.25, 0.5, 1.0)
 """Depths, as shares of the deepest, at which the error is also given as a share of the force there: NRMSE is relative
 to the largest force and therefore tolerates large errors at small depths."""

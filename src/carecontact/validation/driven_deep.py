@@ -1,4 +1,4 @@
-"""The robot's own tool, driven into the belly as fast, as stiffly and as deep as a policy can: does the skin hold it?
+"""The robot's own tool, driven into the abdomen as fast, as stiffly and as deep as a policy can: does the skin hold it?
 
 The kernel of person-v1 drops a contact point that has sunk into a tool beyond the tool's middle, because the nearest
 surface is then behind it. A tool of which this is true goes through the skin: nothing holds it until it meets bone.
@@ -51,7 +51,7 @@ class Driven:
     """Largest force until then; None where the skin stayed before the tool's middle."""
 
     def measures(self) -> Iterator[Measure]:
-        name = f"belly, {self.tool} driven in by the robot"
+        name = f"abdomen, {self.tool} driven in by the robot"
         yield Measure(name=f"{name}: speed at touch", value=self.speed_m_s, unit="m/s")
         yield Measure(name=f"{name}: largest force", value=self.peak_n, unit="N")
         yield Measure(name=f"{name}: deepest", value=1000 * self.deepest_m, unit="mm")
@@ -62,7 +62,7 @@ class Driven:
 
 
 def drive(subject: Subject) -> Driven:
-    """Drive the tool into the middle of the belly with the stiffest spring that the protocol allows.
+    """Drive the tool into the middle of the abdomen with the stiffest spring that the protocol allows.
 
     The target moves at the protocol's speed limit. It ends so deep that the robot, wherever the tool stops, pushes with
     all of the protocol's ``force_clamp_n``.

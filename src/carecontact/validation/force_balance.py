@@ -27,7 +27,7 @@ SPEED_M_S = 0.004
 REST_M_S, LONGEST_REST_S, READ_S = 2e-5, 6.0, 0.06
 """The tool counts as at rest below this speed; the longest wait for it; and the time of reading. The elbow creeps on
 after the tool has stopped: at 1e-4 m/s, its deceleration was 0.015 N in the joint torques of an arm high above the
-belly."""
+abdomen."""
 STIFFNESS = (1000.0, 20.0)
 """Translational [N/m] and rotational [N m/rad] stiffness: a stiffer robot needs less lead of the target over the
 tool."""

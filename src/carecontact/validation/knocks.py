@@ -3,11 +3,11 @@ brought.
 
 A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest force is
 that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
-(``world.human.plates``), on the belly the published curve under the ball of the same size that it was measured with.
+(``world.human.plates``), on the abdomen the published curve under the ball of the same size that it was measured with.
 
-Person-v1 is held to that only where a blow meets a single plate, and only to blows on the belly that its published
+Person-v1 is held to that only where a blow meets a single plate, and only to blows on the abdomen that its published
 curve stores or the robot can bring; later versions are held to more (``Claims``). The robot's own tool strikes the
-belly with all that the robot brings, and is driven into it (``driven_deep``), and both decide.
+abdomen with all that the robot brings, and is driven into it (``driven_deep``), and both decide.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ BALL_M = 0.030
 """Radius of the ball that meets a plate; its contact is rigid."""
 GAP_M, AFTER_S = 0.001, 0.02
 LONGEST_S = 1.5
-"""Longest time of a blow; the slowest one on the belly takes half of it."""
+"""Longest time of a blow; the slowest one on the abdomen takes half of it."""
 FAR_M, APPROACHES = 0.5, 100
 """Distance from which the ball approaches its start, and most steps of the approach."""
 TOLERANCE_PERCENT = 30.0
@@ -57,7 +57,7 @@ THROUGH_STEPS = 2
 skin or a pressed plate pushes back until the ball stands. A single step without force is no gap, because the contact of
 a plate swings in."""
 BELLY_HOLDS_J = 0.47
-"""Energy that the 47.5 mm of tissue of the slim bodies store if the belly's published curve goes on as its last 10 mm
+"""Energy that the 47.5 mm of tissue of the slim bodies store if the abdomen's published curve goes on as its last 10 mm
 do, in proportion to depth^1.5 (our reading). With more, no publication says whether soft tissue is left between."""
 STRAY = 0.05
 """Share of the largest force that other parts may bear where hulls overlap: a blow so deep that they bear more does not
@@ -67,7 +67,7 @@ THIGH_ASIDE_M = ((0.0, -0.06), (0.0, -0.08), (0.0, -0.1), (0.0, -0.12), (0.05, -
 BELLY_ASIDE_M = ((0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08), (0.08, 0.06), (-0.08, 0.06), (0.08, -0.06),
                  (-0.08, -0.06))  # fmt: skip
 """Where the scan strikes the right side of the chest (the first place is on the breastbone), the right thigh (some of
-it between the thighs) and the belly, as ``Site.beside_m``."""
+it between the thighs) and the abdomen, as ``Site.beside_m``."""
 OUTWARD_M = 0.04
 """Farther outward on the chest, the ball meets the shoulder of one body and slips off another one."""
 STRIKER = "striker"
@@ -99,7 +99,7 @@ class Site:
         return float(np.interp(energy_j, stored, self.force_n, right=np.nan))
 
     def most_n(self, energy_j: float) -> float:
-        """Return the force at which the standard's spring of the belly alone would hold an energy that the published
+        """Return the force at which the standard's spring of the abdomen alone would hold an energy that the published
         curve does not reach; NaN on other sites and up to there. Tissue over the bone can only take from it.
         """
         beyond = self.plate is None and np.isnan(self.predicted_n(energy_j))
@@ -154,9 +154,9 @@ class Claims:
 
     Hulls that overlap bear a blow with two springs, so that the prediction, which is of one, decides only where nothing
     else bears the blow. Where the hulls meet in planes, it always decides; if the site evades, only that the blow is
-    not harder. Rigid bone under the belly answers hard blows as no person does; there, only what the published curve
+    not harder. Rigid bone under the abdomen answers hard blows as no person does; there, only what the published curve
     stores and what the robot can bring has to be held. Where the bone rests on a plate, BELLY_HOLDS_J has to be held,
-    and no blow may be harder than the standard's spring of the belly predicts.
+    and no blow may be harder than the standard's spring of the abdomen predicts.
     """
 
     build: Build
@@ -179,7 +179,7 @@ class Claims:
 
 def sites(build: Build) -> list[Site]:
     """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, and the
-    belly.
+    abdomen.
     """
     depth = np.linspace(0.0, 0.1, 2001)
 
@@ -195,7 +195,7 @@ def sites(build: Build) -> list[Site]:
     # The person's right is the world's +y.
     found.append(of(rows[f"{REACHED_FROM_THE_SIDE}_thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
     assert ABDOMEN.indenter.size_m is not None
-    belly = Site(name="belly", plate=None, towards=DOWNWARD,
+    belly = Site(name="abdomen", plate=None, towards=DOWNWARD,
                  ball_m=ABDOMEN.indenter.size_m, depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)  # fmt: skip
     return [*found, belly]
 
@@ -214,7 +214,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         measures += drive(subject).measures()
     except SceneError as error:
         # Without this measure, the others are still useful.
-        name = f"belly, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
+        name = f"abdomen, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
         measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MIDDLE_PERCENT))
     rows = [(b.site, [b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, claims.predicts(b)]) for b in blows]
     curves = {site.name: np.array([row for name, row in rows if name == site.name]) for site in sites(claims.build)}
@@ -249,7 +249,7 @@ def _measures(blow: Blow, claims: Claims) -> Iterator[Measure]:
             yield Measure(name=f"{blow.name}: harder than the prediction of {blow.predicted_n:.1f} N", unit="%",
                           value=blow.off_percent, limit=TOLERANCE_PERCENT)  # fmt: skip
     elif np.isfinite(blow.most_n) and claims.build.belly_floor:
-        yield Measure(name=f"{blow.name}: harder than the spring of the belly, {blow.most_n:.1f} N", unit="%",
+        yield Measure(name=f"{blow.name}: harder than the spring of the abdomen, {blow.most_n:.1f} N", unit="%",
                       value=100 * (blow.peak_n / blow.most_n - 1), limit=TOLERANCE_PERCENT)  # fmt: skip
     yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
     yield Measure(name=f"{blow.name}: impulse over momentum before it goes through", value=blow.held, limit=STOPPED,
@@ -281,13 +281,13 @@ def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float,
 
 def scan(subject: Subject) -> Iterator[Measure]:
     """Yield what blows beside the middle of a part measured: on breastbone and ribs, between the thighs, and toward the
-    border of the belly. Of person-v1 they are reported: its plates overlap, and its left thigh is rigid from the side.
-    """
+    border of the abdomen. Of person-v1 they are reported: its plates overlap, and its left thigh is rigid from the
+    side."""
     scene, impedance, claims = subject.scene("forearm"), subject.protocol.impedance, Claims.of(subject.protocol)
     rows = {site.name: site for site in sites(BUILDS[subject.protocol.person.version])}
     for name, mass, speed, places in (
         ("chest", 5.0, 0.2, CHEST_ASIDE_M), ("thigh", 10.0, 0.5, THIGH_ASIDE_M),
-        ("belly", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),
+        ("abdomen", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),
     ):  # fmt: skip
         simulation = Simulation(with_striker(scene, mass, rows[name].ball_m))
         simulation.settle(COMFORT_ARM_DEG)
@@ -306,14 +306,14 @@ def scan(subject: Subject) -> Iterator[Measure]:
 
 
 def strike_with_tool(subject: Subject) -> Blow:
-    """Return the blow of the robot's tool onto the belly, with the robot's declared mass and at the fastest that a
+    """Return the blow of the robot's tool onto the abdomen, with the robot's declared mass and at the fastest that a
     policy can move it. Nothing is predicted, because the published curve is of a ball.
     """
     protocol = subject.protocol
     mass, speed, tip = (
         protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s, EMBODIMENTS[protocol.scene.tool].tip
     )  # fmt: skip
-    belly = Site(name=f"belly under the robot's tool ({protocol.scene.tool})", plate=None, towards=DOWNWARD,
+    belly = Site(name=f"abdomen under the robot's tool ({protocol.scene.tool})", plate=None, towards=DOWNWARD,
                  ball_m=tip.half_m[2], depth_m=np.zeros(1), force_n=np.zeros(1))  # fmt: skip
     simulation = Simulation(with_striker(subject.scene("forearm"), mass, tip))
     simulation.settle(COMFORT_ARM_DEG)
@@ -396,7 +396,7 @@ def _along(simulation: Simulation, of_slides: Array, towards: Array) -> float:
 
 
 def _stray_n(simulation: Simulation, site: Site) -> float:
-    """Return the sum of the ball's contact forces on bodies other than the site's plate. The belly's shell is no
+    """Return the sum of the ball's contact forces on bodies other than the site's plate. The abdomen's shell is no
     body.
     """
     model, data = simulation.model, simulation.data

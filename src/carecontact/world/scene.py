@@ -62,7 +62,7 @@ class Scene:
 
     @property
     def region_size_m(self) -> Array:
-        """(R, 3) [m] of each region: length along the axis, mean radius (belly: half width) and outward radius at the
+        """(R, 3) [m] of each region: length along the axis, mean radius (abdomen: half width) and outward radius at the
         middle.
         """
         return np.array([frame.size_m for frame in self.frames.values()])

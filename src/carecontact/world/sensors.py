@@ -52,7 +52,7 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
     for segment in SEGMENTS:
         surface(segment, body_name(segment), CONTACT_SLOTS)
     build = BUILDS[protocol.person.version]
-    # The belly's floor has as many hulls as the bone of a segment, and all plates have equally many slots.
+    # The abdomen's floor has as many hulls as the bone of a segment, and all plates have equally many slots.
     slots = CONTACT_SLOTS if build.belly_floor else PLATE_SLOTS
     for plate in plates(build):
         surface(plate_sensor(plate.name), plate_body(plate.name), slots)

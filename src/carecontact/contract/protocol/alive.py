@@ -30,16 +30,16 @@ def _within(low: float, high: float, unit: str) -> AfterValidator:
 
 
 class Breathing(Section):
-    """The belly's wall and the front of the chest rise and fall; the visible skin goes with them.
+    """The abdomen's wall and the front of the chest rise and fall; the visible skin goes with them.
 
-    Only the abstracts of Ragnarsdottir and De Groote were read; neither gives the movement of a lying person's belly.
+    Only the abstracts of Ragnarsdottir and De Groote were read; neither gives the movement of a lying person's abdomen.
     """
 
     frequency_hz: Annotated[Range, _within(0.05, 1.0, "Hz")] = (0.20, 0.33)
     """12 to 20 breaths a minute; quiet breathing has 14 (Ragnarsdottir and Kristinsdottir 2006, Respiration 73:48, 100
     healthy people)."""
     abdomen_m: Annotated[Range, _within(0.0, 0.03, "m")] = (0.005, 0.015)
-    """How far the belly's wall moves outward from the end of a breath out to that of a breath in (assumed)."""
+    """How far the abdomen's wall moves outward from the end of a breath out to that of a breath in (assumed)."""
     chest_m: Annotated[Range, _within(0.0, 0.02, "m")] = (0.002, 0.005)
     """The same of the chest: 3 to 5 mm in five seated people (De Groote et al. 1997, J Appl Physiol 83:1531); less in
     people who lie (assumed)."""

@@ -20,7 +20,7 @@ def harder_band(contact: Contact) -> float | None:
 
     Under gates-v2, the shipped ones are: touch with 1 to 4 N for 1.5 s; 80 mm passed three times with at least 1 N and
     80 % of the sliding with 1 to 8 N; a push of 20 to 60 mm. No fixed offset meets them on a person who breathes,
-    whose belly swings the force of a spring of 400 N/m by some newtons; therefore, they are no gate. None (NA) for an
+    whose abdomen swings the force of a spring of 400 N/m by some newtons; therefore, they are no gate. None (NA) for an
     action without such a table.
     """
     action = contact.task.action

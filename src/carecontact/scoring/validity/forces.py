@@ -25,7 +25,7 @@ CANCELLED_S = 0.01
 """Contacts may oppose one another for this long, whatever share of the contact it is: a bounce."""
 LEAST_RATIO = 0.2
 """Least ratio of vector sum to normal sum, median over a segment's contact. Below, the two are in different units: N
-and kgf differ by 9.8. Soft skin that closes round a tool presses from its sides too: a cap deep in a soapy belly had
+and kgf differ by 9.8. Soft skin that closes round a tool presses from its sides too: a cap deep in a soapy abdomen had
 0.47."""
 CUT_ROUNDING = 1e-5
 

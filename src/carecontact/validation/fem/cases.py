@@ -26,7 +26,7 @@ RINGS_M, RING_M = np.arange(0.004, 0.0301, 0.002), 0.002
 RADII = (0.5, 1.0, 2.0)
 """Factors of an indenter's radius over which the exponent is taken."""
 WAYS_M = np.r_[0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0] / 1000
-"""Distances along the limb, or from head to foot over the belly, at which the force of a moved tool is given."""
+"""Distances along the limb, or from head to foot over the abdomen, at which the force of a moved tool is given."""
 TOLD_WAYS_M = np.array([0.0005, 0.001, 0.002, 0.010])
 
 
@@ -73,5 +73,5 @@ CASES = (
         main=disc(DISC_M), more=(disc(PROBE_M),),
     ),
 )  # fmt: skip
-"""The thickness of the arms is measured (MULTIS, Neumann et al. 2018), that of the belly assumed, all as in the tissue
-sets. The radii of the limbs are those of man-adult, whose circumferences are 214 and 298 mm."""
+"""The thickness of the arms is measured (MULTIS, Neumann et al. 2018), that of the abdomen assumed, all as in the
+tissue sets. The radii of the limbs are those of man-adult, whose circumferences are 214 and 298 mm."""

@@ -1,7 +1,7 @@
-"""Breathing: slide joints on the trunk move the wall of the belly and the front of the chest, and the visible skin with
-them.
+"""Breathing: slide joints on the trunk move the wall of the abdomen and the front of the chest, and the visible skin
+with them.
 
-The belly's soft region moves outward as a whole, and the core under it stays. The skin moves with the region; around
+The abdomen's soft region moves outward as a whole, and the core under it stays. The skin moves with the region; around
 the region its movement fades to zero at the trunk's sides. The slide of the chest carries the chest's plates.
 """
 
@@ -24,8 +24,8 @@ SEGMENT = {"abdomen": "abdomen", "chest": "thorax"}
 FRONT = (0.0, -1.0, 0.0)
 """Direction of the slides in the mesh frame, which is also that of the segments in the bind pose."""
 STIFFNESS_N_M = 1e5
-"""Stiffness of the servo that moves a part: a press of 20 N moves it back by 0.2 mm, while the belly's tissue gives way
-by 40 mm."""
+"""Stiffness of the servo that moves a part: a press of 20 N moves it back by 0.2 mm, while the abdomen's tissue gives
+way by 40 mm."""
 INERTIA_KG = 2.0
 """Inertia of the moving wall (assumed). It is an armature of the joint, so that the segments keep their masses."""
 MASS_KG = 1e-3
@@ -39,7 +39,7 @@ again."""
 TAPER_M = 0.06
 """Width of the rim in which the skin's movement fades, both along the trunk and across it."""
 SEAM_M = 0.03
-"""Width of the strip over the lower border of the chest in which the skin goes over from the belly's movement to the
+"""Width of the strip over the lower border of the chest in which the skin goes over from the abdomen's movement to the
 chest's, if the whole of both has its full movement."""
 SIDE_M = 0.03
 """Width of the zone in which it fades from the plane of the spine forward."""
@@ -132,7 +132,7 @@ def shares(body: Body, points: npt.ArrayLike, build: Build) -> dict[str, Array]:
 
 
 def _full_shares(body: Body, points: Array, margin_m: float) -> dict[str, Array]:
-    """Return the same shares, which are whole as far as a margin beyond the belly's soft region, and beyond what the
+    """Return the same shares, which are whole as far as a margin beyond the abdomen's soft region, and beyond what the
     plates of the chest carry of the front. Between the two, the skin goes over from one movement to the other on the
     lowest strip of the chest.
     """

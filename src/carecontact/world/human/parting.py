@@ -19,9 +19,9 @@ ARMPIT_SHARE, GIRDLE_SHARE = 1.15, 0.45
 at ARMPIT_SHARE of the way from the breastbone to it, and one NECK_M above that height at GIRDLE_SHARE of the way. So
 the ribs belong to the chest as far as the armpit (our choice)."""
 HIP_M = 0.13
-"""Distance from the belly's lower end down to the plane between hip and thigh."""
+"""Distance from the abdomen's lower end down to the plane between hip and thigh."""
 RIM_M = 0.015
-"""How far the flank reaches under the belly's soft region, so that no gap is left between them."""
+"""How far the flank reaches under the abdomen's soft region, so that no gap is left between them."""
 
 
 @dataclass(frozen=True, kw_only=True)

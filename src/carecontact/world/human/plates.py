@@ -70,15 +70,15 @@ GIVES: dict[str, Give] = {
     "chest": Give(a_n_m=5_490.0, b_n_m2=108_000.0, source=STERNUM),
     "shoulder": Give(a_n_m=35_000.0, source=ISO.format("back and shoulders")),
     "shoulder_cap": Give(a_n_m=35_000.0, source=ISO.format("back and shoulders")),
-    "flank": Give(a_n_m=10_000.0, source=ISO.format("belly")),
+    "flank": Give(a_n_m=10_000.0, source=ISO.format("abdomen")),
     "hip": Give(a_n_m=25_000.0, source=ISO.format("pelvis")),
     "thigh": Give(a_n_m=50_000.0, source=ISO.format("thighs")),
     "shank": Give(a_n_m=60_000.0, frequency_rad_s=SHANK_RAD_S, source=ISO.format("lower legs")),
 }
 BELLY_FLOOR = "belly_floor"
-"""Plate that carries the bone under the belly's soft region."""
-FLOOR_GIVE = Give(a_n_m=10_000.0, source=ISO.format("belly"))
-"""The standard's spring is of the whole belly. The soft tissue over the plate, and what it yields, come on top."""
+"""Plate that carries the bone under the abdomen's soft region."""
+FLOOR_GIVE = Give(a_n_m=10_000.0, source=ISO.format("abdomen"))
+"""The standard's spring is of the whole abdomen. The soft tissue over the plate, and what it yields, come on top."""
 SEGMENT_OF = {"chest": "thorax", "shoulder": "thorax", "flank": "abdomen", "hip": "pelvis"}
 """Part -> segment, for parts that are not named after a segment."""
 CAP = "shoulder_cap"
@@ -88,8 +88,8 @@ SIDEWAYS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0
 REACHED_FROM_THE_SIDE = "right"
 """Side on which the robot stands; plates on this side also give way sideways."""
 INNER_SIDES = ("flank", "thigh")
-"""Parts of the other side of which a tool can reach the inner side: across the belly, or between the legs. The shank's
-stays rigid, because each degree of freedom makes a step at rest dearer by some 0.7 %."""
+"""Parts of the other side of which a tool can reach the inner side: across the abdomen, or between the legs. The
+shank's stays rigid, because each degree of freedom makes a step at rest dearer by some 0.7 %."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ class RegionFrame:
     axes: Array
     """(3, 3) columns x along the axis, y, z outward, which is up in the lying pose"""
     size_m: Array
-    """(3,) length along x, mean radius (belly: half width), radius along z at the middle"""
+    """(3,) length along x, mean radius (abdomen: half width), radius along z at the middle"""
 
 
 def soft_frame(shell: Shell) -> RegionFrame:

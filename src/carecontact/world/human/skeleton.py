@@ -141,7 +141,7 @@ def _middle(surface: list[_Hull], plate: str) -> Array:
 
 
 def _belly_middle(body: Body) -> Array:
-    """Return the middle (3,) of the belly's core in the mesh frame, on its axis: the core's hulls are made later."""
+    """Return the middle (3,) of the abdomen's core in the mesh frame, on its axis: the core's hulls are made later."""
     low, high = belly_span(body)
     return np.array([0.0, body.joint_centre["thorax"][1], (low + high) / 2])
 

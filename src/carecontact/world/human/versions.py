@@ -20,18 +20,18 @@ class Build:
     entry_m: float = 0.0
     """Way of a tool over which skin that it has not pressed comes to bear, by a factor of e, [m]. 0: beside an upright
     wall such skin bears nothing, and once the wall is no longer upright to it, all at once. Chosen for a cap that
-    scrubs the belly with 15 N: with 2 to 3 mm its force rattles, and with 8 mm its mean is 10 to 15 % off the one asked
-    for."""
+    scrubs the abdomen with 15 N: with 2 to 3 mm its force rattles, and with 8 mm its mean is 10 to 15 % off the one
+    asked for."""
     parted: bool = False
     """Whether the hulls of neighbouring plates meet in planes (``parting``). False: they overlap, and both plates carry
     what lies there."""
     inner_sides: bool = False
     """Whether flank and thigh of the side away from the robot give way sideways too. False: their inner side, which a
-    tool can reach over the belly and between the legs, is rigid to a push from the robot's side."""
+    tool can reach over the abdomen and between the legs, is rigid to a push from the robot's side."""
     belly_floor: bool = False
-    """Whether the bone under the belly's soft region gives way on a plate. False: it is rigid."""
+    """Whether the bone under the abdomen's soft region gives way on a plate. False: it is rigid."""
     breath_margin_m: float | None = None
-    """How far the visible skin makes all of a breath's movement beyond the belly's soft region and beyond what the
+    """How far the visible skin makes all of a breath's movement beyond the abdomen's soft region and beyond what the
     chest's plates carry, [m]. None: its movement fades by shares of the body's breadth, also over parts of both."""
 
 

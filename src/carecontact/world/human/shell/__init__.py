@@ -1,4 +1,4 @@
-"""The meshed surface of a soft region, sampled from the body: around a limb, or over the belly."""
+"""The meshed surface of a soft region, sampled from the body: around a limb, or over the abdomen."""
 
 from carecontact.world.human.shell.keep import kept_shell
 from carecontact.world.human.shell.limb import limb_shell

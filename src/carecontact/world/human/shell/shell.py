@@ -35,9 +35,9 @@ class Shell:
     area: Array
     """(N,) share of the surface [m^2]"""
     axis_points: Array
-    """(N, 3) point of the region's axis (belly: of its back plane) inward of each vertex"""
+    """(N, 3) point of the region's axis (abdomen: of its back plane) inward of each vertex"""
     grid: Array
-    """(N, 2) place along the axis from the shell's start [m], and across: angle round a limb [rad], on the belly [m]"""
+    """(N, 2) place along the axis from the shell's start [m], and across: angle round a limb [rad], on a trunk [m]"""
     frame_origin: Array
     frame: Array
     """(3, 3) columns x (along), y, z (outward at the middle): the region frame in the mesh frame"""

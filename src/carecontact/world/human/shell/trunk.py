@@ -1,4 +1,4 @@
-"""The shell of the belly: a patch sampled by rays from the trunk's back plane to its front."""
+"""The shell of the abdomen: a patch sampled by rays from the trunk's back plane to its front."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ sampled by rays from behind."""
 FINE_HALF_WIDTH_M, FINE_MARGIN_M = 0.080, 0.03
 """Largest half width of the fine patch, and its least distance from the shell's border."""
 SAMPLES = 41
-"""Number of rays in each direction over the belly."""
+"""Number of rays in each direction over the abdomen."""
 NAVEL_BALL_M = 0.20
-"""A ball of this radius that rolls over the belly spans the navel, and so does the shell: the skin in a navel is a fold
-that bears no load, and on its rim a tool met up to 30 % more force. The belly of
-man-adult, which the laws are fitted on, is lifted by 2.4 mm at most and 0.2 mm in the mean."""
+"""A ball of this radius that rolls over the abdomen spans the navel, and so does the shell: the skin in a navel is a
+fold that bears no load, and on its rim a tool met up to 30 % more force. The abdomen of man-adult, which the laws are
+fitted on, is lifted by 2.4 mm at most and 0.2 mm in the mean."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class _Belly:
 
 
 def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
-    """Return a patch over the belly between the lower ribs and the pelvis."""
+    """Return a patch over the abdomen between the lower ribs and the pelvis."""
     x, z = np.array([0.0, 0.0, 1.0]), outward / np.linalg.norm(outward)
     low, high = belly_span(body)
     back = np.array([0.0, body.joint_centre["thorax"][1], 0.0])
@@ -122,7 +122,7 @@ def belly_span(body: Body) -> tuple[float, float]:
 
 
 def belly_half_width(body: Body) -> float:
-    """Return half the width of the belly's shell [m]."""
+    """Return half the width of the abdomen's shell [m]."""
     low, high = belly_span(body)
     faces = body.vertices[body.faces_of("pelvis", "abdomen", "thorax", "left_thigh", "right_thigh")]
     heights = np.linspace(low, high, 15)
