@@ -188,11 +188,12 @@ def test_claimed_size_is_refused_before_unpacking(tmp_path: Path, image: bytes) 
 
 def test_a_few_megabytes_that_unpack_to_gigabytes_are_refused(tmp_path: Path, image: bytes) -> None:
     path, chunk = tmp_path / "T1-s000.h5", 8 << 20
+    packed = zlib.compress(bytes(chunk), 9)
     path.write_bytes(image)
     with h5py.File(path, "r+") as file:
         bomb = file.create_dataset("perception/bomb", (256 * chunk,), "u1", chunks=(chunk,), compression="gzip")
         for number in range(256):
-            bomb.id.write_direct_chunk((number * chunk,), zlib.compress(bytes(chunk), 9))
+            bomb.id.write_direct_chunk((number * chunk,), packed)
     assert path.stat().st_size < 3_000_000
     with pytest.raises(RecordingError, match="perception/bomb declares 2147483648 bytes, more than a trial may have"):
         read_recording(path)

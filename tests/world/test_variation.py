@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from carecontact.world.human.appearance import CLOTHES, HAIR, SKIN_TONES, draw_appearance, fine_paint
 from carecontact.world.human.library import load_body
 from carecontact.world.human.skin import TEXTURE_SIZE, Appearance, baked_texture
+from carecontact.world.kept import CACHE_VARIABLE
 from carecontact.world.light import Light, draw_light, shine
 
 
@@ -28,6 +30,17 @@ def test_the_shipped_texture_is_this_paint() -> None:
     painted = fine_paint(load_body("man-adult"), Appearance())
     assert painted.shape == (TEXTURE_SIZE, TEXTURE_SIZE, 3)
     np.testing.assert_array_equal(painted, baked_texture("man-adult"))
+
+
+def test_paint_does_not_depend_on_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    body, worn = load_body("woman-old-light"), draw_appearance(np.random.default_rng(3))
+    monkeypatch.setenv(CACHE_VARIABLE, "")
+    computed = fine_paint(body, worn)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    assert (fine_paint(body, Appearance()) != computed).any()
+    (file,) = tmp_path.glob("paint/*.npz")
+    np.testing.assert_array_equal(fine_paint(body, worn), computed)
+    assert list(tmp_path.glob("paint/*")) == [file]
 
 
 @pytest.fixture

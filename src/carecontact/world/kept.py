@@ -12,6 +12,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,12 @@ def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) 
     arrays = compute()
     _write(path, arrays)
     return arrays
+
+
+@cache
+def source_sha256(folder: Path) -> str:
+    """Return the hash of all modules in a folder and below it, as a fact of arrays that they compute."""
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))).hexdigest()
 
 
 def _read(path: Path) -> Arrays | None:

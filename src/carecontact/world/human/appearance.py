@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.world.human.body import Body
 from carecontact.world.human.refine import refined
-from carecontact.world.human.skin import Appearance, paint
+from carecontact.world.human.skin import Appearance, coloured, painters
+from carecontact.world.kept import Arrays, kept, source_sha256
 
 Rgb = tuple[int, int, int]
 
@@ -40,11 +45,32 @@ def draw_appearance(rng: np.random.Generator) -> Appearance:
 
 
 def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
-    """Paint a texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) with full detail, like the shipped textures."""
-    fine = body
-    for segment, times in {**SPLITS, **(TOP_SPLITS if body.sex == "F" else {})}.items():
-        fine = refined(fine, segment, times=times)
-    return paint(fine, appearance)
+    """Paint a texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) with full detail, like the shipped textures.
+
+    Which fine face covers which texel does not depend on the appearance. It is kept, because it takes a second.
+    """
+
+    def compute() -> Arrays:
+        fine = body
+        for segment, times in splits.items():
+            fine = refined(fine, segment, times=times)
+        return {
+            "vertices": fine.vertices, "faces": fine.faces.astype(np.int32), "owner": fine.owner.astype(np.int32),
+            "is_eye": fine.is_eye, "painters": painters(fine),
+        }  # fmt: skip
+
+    splits = {**SPLITS, **(TOP_SPLITS if body.sex == "F" else {})}
+    facts = {
+        "body": [body.name, body.sha256], "splits": splits, "source": source_sha256(Path(__file__).parent),
+        "numpy": np.__version__, "cv2": cv2.__version__,
+    }  # fmt: skip
+    found = kept("paint", facts, compute)
+    owner = found["owner"].astype(np.int64)[:, None]
+    fine = replace(
+        body, vertices=found["vertices"], faces=found["faces"].astype(np.int64), is_eye=found["is_eye"],
+        weight_segment=owner, weight=np.ones(owner.shape),
+    )  # fmt: skip
+    return coloured(found["painters"], fine, appearance)
 
 
 def wear(model: mujoco.MjModel, body: Body, appearance: Appearance) -> None:

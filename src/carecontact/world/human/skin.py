@@ -83,17 +83,27 @@ def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
 
 def paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
     """Return a texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) in which each face has the colour of its place on the body."""
-    colour = np.clip(_face_colours(body, appearance), 0, 255)
+    return coloured(painters(body), body, appearance)
+
+
+def painters(body: Body) -> npt.NDArray[np.int32]:
+    """Return which face covers each texel (TEXTURE_SIZE, TEXTURE_SIZE), counted from 1; 0 where none does."""
     corners = body.uv[body.uv_faces] * TEXTURE_SIZE
     corners[..., 1] = TEXTURE_SIZE - corners[..., 1]
     fixed = np.round(corners * 16).astype(np.int32)
-    image = np.empty((TEXTURE_SIZE, TEXTURE_SIZE, 3), np.uint8)
-    image[:] = appearance.skin
-    for triangle, c in zip(fixed, colour.tolist(), strict=True):
+    digits = np.arange(1, len(fixed) + 1)[:, None] >> [0, 8, 16] & 255
+    image = np.zeros((TEXTURE_SIZE, TEXTURE_SIZE, 3), np.uint8)
+    for triangle, c in zip(fixed, digits.tolist(), strict=True):
         # The outline covers the hairline between neighbours, which texture filtering would show.
         cv2.fillConvexPoly(image, triangle, c, cv2.LINE_8, 4)
         cv2.polylines(image, [triangle], True, c, 1, cv2.LINE_8, 4)
-    return cv2.GaussianBlur(image, (3, 3), 0)  # pyright: ignore[reportReturnType]
+    return (image.astype(np.int32) << [0, 8, 16]).sum(-1, dtype=np.int32)
+
+
+def coloured(painters: npt.NDArray[np.int32], body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
+    """Return the texture of a body whose faces cover the texels as ``painters`` says."""
+    colours = np.clip(np.vstack([appearance.skin, _face_colours(body, appearance)]), 0, 255)
+    return cv2.GaussianBlur(np.rint(colours).astype(np.uint8)[painters], (3, 3), 0)  # pyright: ignore[reportReturnType]
 
 
 def _face_colours(body: Body, appearance: Appearance) -> Array:

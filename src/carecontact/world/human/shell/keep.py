@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import fields
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,10 @@ from carecontact.regions import REGIONS
 from carecontact.world.human.body import Body
 from carecontact.world.human.pose import NOT_TURNED, ArmTurn
 from carecontact.world.human.shell.shell import Shell
-from carecontact.world.kept import Arrays, kept
+from carecontact.world.kept import Arrays, kept, source_sha256
+
+SHAPING = Path(__file__).parents[1]
+"""Folder of all modules that shape a person."""
 
 
 def kept_shell(
@@ -28,7 +29,7 @@ def kept_shell(
     """
     facts = {
         "body": [body.name, body.sha256], "region": [region, repr(REGIONS[region])],
-        "tissue": tissue.model_dump(mode="json"), "turn": repr(turn), "source": _source_sha256(),
+        "tissue": tissue.model_dump(mode="json"), "turn": repr(turn), "source": source_sha256(SHAPING),
         "numpy": np.__version__, "scipy": version("scipy"),
     }  # fmt: skip
 
@@ -39,10 +40,3 @@ def kept_shell(
     found = kept("shells", facts, arrays)
     values: dict[str, Any] = {name: array if array.ndim else float(array) for name, array in found.items()}
     return Shell(**values)
-
-
-@cache
-def _source_sha256() -> str:
-    """Return the hash of the source of all modules that shape a person."""
-    folder = Path(__file__).parents[1]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))).hexdigest()
