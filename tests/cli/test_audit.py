@@ -1,4 +1,4 @@
-"""The quick audit of every registered policy, as anybody would run it."""
+"""The quick audit of every registered policy, as anybody would run it, and what ends it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,21 @@ from tests.audit.conftest import send_a_privileged_key
 AUDITED = [name for name in POLICIES if role_of(name) != "privileged"]
 
 
-def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["audit", "--quick", "-o", str(tmp_path / "audit")]) == 0
+def test_nothing_leaks_to_any_registered_policy_on_the_hardest_level(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hardest = ["--protocol", "bathing-wide-v1", "--level", "L3", "--seed", "5"]
+    assert main(["audit", "--quick", *hardest, "-o", str(tmp_path / "audit")]) == 0
     printed = capsys.readouterr().out
+    assert printed.startswith(f"bathing-wide-v1 L3, seed 5, man-adult-light, quick: {', '.join(AUDITED)}\n")
     rows = [line.split()[:2] for line in printed.splitlines() if line.startswith(("pass ", "FAIL "))]
     assert rows == [["pass", name] for name in ("re-derivation", "readings", "frozen", "canary", "handshake", "schema")]
     said = json.loads((tmp_path / "audit" / "audit.json").read_text())
     assert said["schema"] == "carecontact-audit-1"
     assert said["passed"] is True
+    assert (said["protocol"]["id"], said["protocol"]["level"], said["protocol"]["seed"]) == (
+        "bathing-wide-v1 L3", "L3", 5,
+    )  # fmt: skip
     assert (said["policies"], said["privileged"]) == (AUDITED, ["oracle"])
     counts = {part["part"]: part["counts"] for part in said["parts"]}
     assert counts["schema"] == {"trials": len(AUDITED), "messages": len(AUDITED)}
@@ -36,32 +43,19 @@ def test_nothing_leaks_to_any_registered_policy(tmp_path: Path, capsys: pytest.C
     assert counts["frozen frames"]["fields of the world scrambled"] > 100
 
 
-def test_named_tasks_and_another_person_on_the_hardest_level(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    named = ["--protocol", "bathing-wide-v1", "--level", "L3", "--policy", "hover", "--tasks", "T1,T3", "--seed", "5"]
-    assert main(["audit", "--quick", *named, "-o", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert printed.startswith("bathing-wide-v1 L3, seed 5, man-adult-light, quick: hover\n")
-    # Both tasks are on the forearm, which is pressed once, with a card that names each policy once.
-    assert printed.count("running two presses on the forearm with the card of hover\n") == 1
-    assert printed.count("running two presses") == 1
-    said = json.loads((tmp_path / "audit.json").read_text())
-    of = said["protocol"]
-    assert (of["id"], of["level"], of["seed"]) == ("bathing-wide-v1 L3", "L3", 5)
-    rows = [(row["task"], row["observations"], row["recomputed"]) for row in said["trials"]]
-    assert rows == [("T1", 1, 1), ("T3", 1, 1)]
-
-
 def test_a_leak_ends_with_status_1_and_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     send_a_privileged_key(monkeypatch)
-    assert main(["audit", "--quick", "--policy", "zero-action", "-o", str(tmp_path)]) == 1
+    assert main(["audit", "--quick", "--policy", "zero-action", "--tasks", "T1,T3", "-o", str(tmp_path)]) == 1
     printed = capsys.readouterr().out
+    # Both tasks are on the forearm, which is pressed once, with a card that names the policy once.
+    assert printed.count("running two presses on the forearm with the card of zero-action\n") == 1
+    assert printed.count("running two presses") == 1
     assert printed.splitlines()[-1] == f"FAILED: {tmp_path / 'audit.json'}"
     said = json.loads((tmp_path / "audit.json").read_text())
     assert said["passed"] is False
+    assert [row["task"] for row in said["trials"]] == ["T1", "T3"]
     named = {part["part"]: {f["place"] for f in part["findings"]} for part in said["parts"]}
     assert named["schema"] == named["canary"] == {"observation.contact_force"}
     assert "zero-action: observation.contact_force: the trial failed" in printed

@@ -30,11 +30,8 @@ def test_two_methods_give_the_same_force(case, skin) -> None:
 def test_finer_hexahedra_come_closer() -> None:
     forearm = CASES[1]
     medium = Medium(ground=forearm.ground, skin=MIDDLE, tissue_pa=15e3)
-    exact = Sample(medium).press(forearm.main, TRAVELS_M)
-    off = [
-        np.abs([Block(medium, 0.0125, side_m=side).press(forearm.main, float(t)) for t in TRAVELS_M] / exact - 1).max()
-        for side in (0.006, 0.003)
-    ]
+    (exact,) = Sample(medium).press(forearm.main, TRAVELS_M[1:])
+    off = [abs(Block(medium, 0.0125, side_m=side).press(forearm.main, 0.004) / exact - 1) for side in (0.006, 0.003)]
     assert off[1] < 0.006
     assert off[1] < off[0]
 
