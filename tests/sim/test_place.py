@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carecontact.cache_folder import CACHE_VARIABLE
 from carecontact.sim import settled as stored
 from carecontact.sim.simulation import Simulation
 from carecontact.world.furniture import SUPPORT
-from carecontact.world.kept import CACHE_VARIABLE
 from carecontact.world.place import Place, move_person
 from carecontact.world.scene import Scene
 from tests.sim.conftest import COMFORT_ARM_DEG

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carecontact.cache_folder import CACHE_VARIABLE
 from carecontact.sim import settled as stored
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.world.kept import CACHE_VARIABLE
 from carecontact.world.scene import Scene
 
 ANGLE = 47.0

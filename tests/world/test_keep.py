@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carecontact.cache_folder import CACHE_VARIABLE
 from carecontact.protocols import load_protocol
 from carecontact.world.human.library import load_body
 from carecontact.world.human.shell import Shell, kept_shell
-from carecontact.world.kept import CACHE_VARIABLE
 from carecontact.world.scene import region_shell
 
 PROTOCOL = load_protocol()

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.world.kept import CACHE_VARIABLE, Arrays, cache_folder, kept
+from carecontact.cache_folder import CACHE_VARIABLE, cache_folder
+from carecontact.world.kept import SECRET, Arrays, kept
 
 FACTS = {"angle": 0.5, "names": ["a", "b"]}
 
@@ -42,6 +43,19 @@ def test_other_facts_are_computed(folder: Path, change: dict[str, object]) -> No
         kept("kind", FACTS | change, forbidden)
     with pytest.raises(AssertionError, match="computed again"):
         kept("other", FACTS, forbidden)
+
+
+def test_nobody_can_guess_the_name_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A policy that is isolated may still ask for the times of a file whose path it knows."""
+    names = set[str]()
+    for machine in ("one", "other"):
+        monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / machine))
+        kept("kind", FACTS, made)
+        (file,) = (tmp_path / machine / "kind").iterdir()
+        names.add(file.name)
+        assert (tmp_path / machine / SECRET).stat().st_mode & 0o077 == 0
+        assert {path.name for path in (tmp_path / machine).iterdir()} == {"kind", SECRET}
+    assert len(names) == 2
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty", "changed", "foreign", "unsigned"])

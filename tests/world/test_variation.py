@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from carecontact.cache_folder import CACHE_VARIABLE
 from carecontact.world.human.appearance import CLOTHES, HAIR, SKIN_TONES, draw_appearance, fine_paint
 from carecontact.world.human.library import load_body
 from carecontact.world.human.skin import TEXTURE_SIZE, Appearance, baked_texture
-from carecontact.world.kept import CACHE_VARIABLE
 from carecontact.world.light import Light, draw_light, shine
 
 

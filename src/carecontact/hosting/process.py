@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import carecontact
+from carecontact.cache_folder import cache_folder
 from carecontact.errors import PolicyError
 from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
 from carecontact.hosting.descendants import MARK, kill_marked, new_mark
@@ -302,7 +303,7 @@ def _options(
         "harness_port": harness_port,
         "readable": [os.path.abspath(place) for place in setup.readable],
         "writable": [os.path.abspath(place) for place in setup.writable],
-        "closed": [os.path.abspath(place) for place in setup.closed],
+        "closed": [os.path.abspath(place) for place in (*setup.closed, *filter(None, [cache_folder()]))],
         "isolated": setup.isolated,
         "stack_fd": stack_fd,
     }

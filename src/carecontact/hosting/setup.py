@@ -33,7 +33,8 @@ class PolicySetup:
     writable: tuple[str, ...] = ()
     """Files and folders that it may read and write besides its own temporary folder."""
     closed: tuple[str, ...] = ()
-    """Folders that stay closed to it even inside one that it may read: those of runs."""
+    """Folders that stay closed to it even inside one that it may read: those of runs. The folder of what is kept
+    between trials (``world.kept``) is closed as well."""
     isolated: bool = True
     """False only to measure what isolation costs and closes."""
 

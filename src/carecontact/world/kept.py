@@ -2,13 +2,19 @@
 
 A file's name is a hash of all that its arrays depend on, so that it is never out of date. Stored arrays equal computed
 ones, so that recordings do not depend, in any bit, on whether arrays were stored.
+
+A settled person is what no policy may see. The folder is closed to a policy that runs isolated
+(``hosting.isolation.allowlist``). The hash has a secret of the folder as its key, because the system still tells such a
+policy the times of every file whose path it can guess, and so which seed's person was just kept.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
 import os
+import secrets
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
@@ -19,21 +25,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.cache_folder import cache_folder
+
 Arrays = dict[str, npt.NDArray[Any]]
 
-CACHE_VARIABLE = "CARECONTACT_CACHE"
-"""Environment variable with the path of the folder; if it is empty, nothing is kept."""
 DIGEST = "sha256"
 """Name of the array in a file that holds the hash of all others."""
-
-
-def cache_folder() -> Path | None:
-    """Return the folder of kept files; None if nothing is to be kept."""
-    chosen = os.environ.get(CACHE_VARIABLE)
-    if chosen is not None:
-        return Path(chosen) if chosen else None
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "carecontact"
+SECRET, SECRET_BYTES = "secret", 32
+"""File of the folder that holds the key of its names."""
 
 
 def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) -> Arrays:
@@ -46,7 +45,11 @@ def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) 
     folder = cache_folder()
     if folder is None:
         return compute()
-    path = folder / kind / f"{hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()}.npz"
+    try:
+        secret = _secret(folder)
+    except OSError:
+        return compute()
+    path = folder / kind / f"{hmac.digest(secret, json.dumps(facts, sort_keys=True).encode(), 'sha256').hex()}.npz"
     known = _read(path)
     if known is not None:
         return known
@@ -59,6 +62,18 @@ def kept(kind: str, facts: Mapping[str, object], compute: Callable[[], Arrays]) 
 def source_sha256(folder: Path) -> str:
     """Return the hash of all modules in a folder and below it, as a fact of arrays that they compute."""
     return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))).hexdigest()
+
+
+def _secret(folder: Path) -> bytes:
+    """Return the folder's secret, which the first process draws. If two draw one at the same time, the later one stays;
+    what was kept with the other is computed again."""
+    path = folder / SECRET
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
+            file.write(secrets.token_bytes(SECRET_BYTES))
+        os.replace(file.name, path)
+    return path.read_bytes()
 
 
 def _read(path: Path) -> Arrays | None:

@@ -28,7 +28,9 @@ SIZE = ctypes.c_size_t
 
 
 def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
-    """``folder`` holds the policy's own folder, with the runs in it, and a file of the user's outside of it."""
+    """``folder`` holds the policy's own folder, with the runs and the kept arrays in it, and a file of the user's
+    outside of it."""
+    settled = folder / "policy" / "cache" / "settled"
     run, harness = folder / "policy" / "runs" / "now", os.getppid()
     recording, package = run / "T1-s000.h5", Path(sys.modules["carecontact"].__file__ or "").parent
     temporary = Path(tempfile.gettempdir())
@@ -41,6 +43,9 @@ def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
         "link a recording into its own folder": lambda: os.link(recording, temporary / "linked"),
         "list the run": lambda: os.listdir(run),
         "list the folder of runs": lambda: os.listdir(run.parent),
+        "list the settled persons that are kept": lambda: os.listdir(settled),
+        "read a settled person": (settled / "person.npz").read_bytes,
+        "read the key of the names of what is kept": (settled.parent / "secret").read_bytes,
         "write a file into the run": (run / "T1-s001.h5").touch,
         "write into a recording": lambda: recording.open("ab").close(),
         "empty a recording": lambda: os.truncate(recording, recording.stat().st_size),

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import carecontact
+from carecontact.cache_folder import CACHE_VARIABLE
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.hosting.isolation.fence import available
 from carecontact.hosting.isolation.landlock import version
@@ -39,8 +40,12 @@ needs_landlock = pytest.mark.skipif(not version(), reason="this system has no La
 
 
 @pytest.fixture
-def attempt(tmp_path: Path) -> Try:
+def attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Try:
     folder = tmp_path / "policy"
+    (folder / "cache" / "settled").mkdir(parents=True)
+    for name in ("settled/person.npz", "secret"):
+        (folder / "cache" / name).write_text("secret")
+    monkeypatch.setenv(CACHE_VARIABLE, str(folder / "cache"))
     for run in ("now", "earlier"):
         (folder / "runs" / run).mkdir(parents=True)
         for name in ("T1-s000.h5", "manifest.json"):
