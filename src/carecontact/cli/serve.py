@@ -53,6 +53,7 @@ class Serve:
             port=self.port,
             at_once=self.at_once or available_cores(),
             on_port=lambda bound: print(f"{name}: serving on {self.host}, port {bound}", flush=True),
-            on_event=lambda event: print(event, flush=True),
+            # In one piece, because the threads of several trials print.
+            on_event=lambda event: print(f"{event}\n", end="", flush=True),
         )
         return 0

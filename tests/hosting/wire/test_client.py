@@ -256,6 +256,29 @@ def test_bytes_that_are_no_websocket(monkeypatch: pytest.MonkeyPatch, frame: byt
     assert caught.value.kind in ("garbage", "oversize")
 
 
+def test_a_client_that_is_gone_at_once_is_no_failure_of_the_server(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def gone(_: object) -> None:
+        raise OSError("Transport endpoint is not connected")
+
+    port: SimpleQueue[int] = SimpleQueue()
+    thread = threading.Thread(target=server.serve_policy, args=(Answers(),), kwargs={"on_port": port.put})
+    thread.start()
+    at = port.get(timeout=20)
+    with monkeypatch.context() as patch:
+        patch.setattr(ServerConnection, "remote_address", property(gone))
+        with pytest.raises(PolicyError):
+            PolicyClient(Connection.open(port=at, deadline_s=20)).card(deadline_s=20)
+    one = PolicyClient(Connection.open(port=at, deadline_s=20))
+    one.card(deadline_s=20)
+    one.say_goodbye(deadline_s=20)
+    one.disconnect()
+    thread.join(20)
+    assert not thread.is_alive()
+    assert not [record for record in caplog.records if record.exc_info]
+
+
 @pytest.mark.parametrize(("says", "kind"), [(b"SSH-2.0-something\r\n", "handshake"), (b"", "timeout")])
 def test_a_port_that_speaks_something_else(says: bytes, kind: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:

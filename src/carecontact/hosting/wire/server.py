@@ -43,7 +43,12 @@ def serve_policy(
     finished = threading.Event()
 
     def hand_over(connection: ServerConnection) -> None:
-        if client_port not in (None, connection.remote_address[1]):
+        try:
+            came_from = connection.remote_address[1]
+        except OSError:
+            # The client has gone already.
+            return
+        if client_port not in (None, came_from):
             return
         offered.put(connection)
         finished.wait()
