@@ -120,6 +120,15 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
     assert sorted(path.name for path in Path("r").glob("*.h5")) == ["T1-s000.h5", "T1-s001.h5", "T1-s002.h5"]
 
 
+def test_a_client_that_says_nothing_takes_no_place(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    fake.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
+    with (
+        served("class P(Base): pass", tmp_path, at_once=1) as (port, _),
+        socket.create_connection(("127.0.0.1", port)),
+    ):
+        assert main([*RUN, f"ws://127.0.0.1:{port}", "--set", "phases.first_call_deadline_s=8"]) == 0
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -14,6 +14,7 @@ from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
 from carecontact.runs import RunScores, read_results, results, score_run, write_scores
 from carecontact.runs.results_file import pack_results
+from carecontact.runs.run_scores import joined
 from carecontact.scoring import score_recording
 from carecontact.stats import wilson_interval
 from tests.scoring.synthetic import before_start, make_recording, push, scrub, touch
@@ -184,6 +185,26 @@ def test_mixed_runs_are_refused(folder: Path) -> None:
     write_recording(touch(seed=7, policy="other"), folder / "T1-s007.h5")
     with pytest.raises(ConfigError, match="2 policies must not be pooled: other, synthetic"):
         score_run(folder)
+
+
+def at_an_address(recording: Recording, **changes: Any) -> Recording:
+    spec = recording.header.spec.model_copy(update={"policy": "ws://192.0.2.7:80"})
+    header = recording.header.model_copy(update={"spec": spec, "card": {"name": "my-vla"}, **changes})
+    return Recording(header=header, arrays=recording.arrays)
+
+
+def test_a_server_that_was_silent_in_one_trial_is_no_other_policy(tmp_path: Path) -> None:
+    silent = at_an_address(as_trial(before_start(), seed=1), card=None)
+    write_recording(at_an_address(touch()), tmp_path / "T1-s000.h5")
+    write_recording(silent, tmp_path / "T1-s001.h5")
+    run = score_run(tmp_path)
+    assert [s.policy_title for s in run.scores] == ["my-vla at ws://192.0.2.7:80"] * 2
+    assert json.loads(write_scores(tmp_path, run).read_text())["overall"]["n_episodes"] == 2
+    parts = [RunScores(scores=[score_recording(r)]) for r in (at_an_address(touch()), silent)]
+    assert [s.policy_name for s in joined(*parts).scores] == ["my-vla", "my-vla"]
+    write_recording(at_an_address(touch(seed=2), card={"name": "another"}), tmp_path / "T1-s002.h5")
+    with pytest.raises(ConfigError, match="policies must not be pooled"):
+        score_run(tmp_path)
 
 
 HASHES = {"model": "0" * 64, "body": "1" * 64, "robot": "2" * 64}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
 from collections.abc import Callable
@@ -12,6 +13,10 @@ from carecontact.errors import ConfigError, PolicyError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 
+WAITING = 100
+"""Most connections at a time that wait for a place, or have said nothing yet."""
+FIRST_WORD_S = 10.0
+"""Time [s] for a client to send the first byte of its handshake; an honest one sends it at once."""
 LOAD_DEADLINE_S = 600.0
 """Time [s] for a policy to load; the trial at the other end has a shorter deadline of its own."""
 KEEPALIVE_S = 60
@@ -40,22 +45,43 @@ def serve_trials(
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
         raise ConfigError(f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
-    slots = threading.Semaphore(at_once)
+    slots, door = threading.Semaphore(at_once), threading.Semaphore(at_once + WAITING)
 
     def serve_one(connection: socket.socket, peer: str) -> None:
-        try:
-            with connection:
-                _serve_one(connection, peer, setup=setup, on_event=on_event)
-        finally:
-            slots.release()
+        with connection, door:
+            # Who says nothing takes no place, and for who has gone meanwhile no policy is started.
+            if not _spoke(connection):
+                on_event(f"{peer}: it connected and said nothing")
+                return
+            with slots:
+                if not _left(connection):
+                    _serve_one(connection, peer, setup=setup, on_event=on_event)
 
     with listener:
         on_port(listener.getsockname()[1])
         while True:
-            slots.acquire()
-            connection, (address, number, *_) = listener.accept()
+            with door:
+                connection, (address, number, *_) = listener.accept()
             # A daemon thread: when this process ends, the policies end too, by the pipe that they watch.
             threading.Thread(target=serve_one, args=(connection, f"{address} port {number}"), daemon=True).start()
+
+
+def _spoke(connection: socket.socket) -> bool:
+    """Wait for the first byte of a connection, and leave it there; return False if none comes."""
+    connection.settimeout(FIRST_WORD_S)
+    try:
+        return bool(connection.recv(1, socket.MSG_PEEK))
+    except OSError:
+        return False
+    finally:
+        connection.settimeout(None)
+
+
+def _left(connection: socket.socket) -> bool:
+    """Whether the other end has closed its connection; False on systems that do not tell."""
+    poll = select.poll()
+    poll.register(connection, getattr(select, "POLLRDHUP", 0))
+    return bool(poll.poll(0))
 
 
 def _serve_one(connection: socket.socket, peer: str, *, setup: PolicySetup, on_event: Callable[[str], None]) -> None:

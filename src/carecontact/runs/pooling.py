@@ -28,6 +28,30 @@ def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
     return [{"trial_id": s.trial_id, "message": s.failure_message or "no reason recorded"} for s in failed]
 
 
+def with_names(scores: Iterable[TrialScore]) -> list[TrialScore]:
+    """Return the scores, with the name of the policy also where it crashed before it showed its card.
+
+    Otherwise, a server that answers one trial with silence would be taken for another policy, and the run could not be
+    counted. The name is the one that the same address showed in the other trials; where it showed several or none,
+    nothing is added.
+    """
+    scores = list(scores)
+    names: dict[tuple[object, ...], set[str]] = {}
+    for score in scores:
+        if score.policy_name is not None:
+            names.setdefault(_asked_for(score), set()).add(score.policy_name)
+    return [
+        score.model_copy(update={"policy_name": min(shown)})
+        if score.policy_name is None and score.is_crash and len(shown := names.get(_asked_for(score), set[str]())) == 1
+        else score
+        for score in scores
+    ]
+
+
+def _asked_for(score: TrialScore) -> tuple[object, ...]:
+    return (score.policy, *sorted(score.policy_arguments.items()))
+
+
 def check_one_run(scores: Sequence[TrialScore]) -> None:
     """Raises ConfigError if the scores are of several protocols, policies or worlds: their rates must not be pooled."""
     protocols, policies = set[str](), set[str]()

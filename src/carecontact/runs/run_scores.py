@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from carecontact.errors import ConfigError, counted
-from carecontact.runs.pooling import check_one_run, judged
+from carecontact.runs.pooling import check_one_run, judged, with_names
 from carecontact.scoring.result import TrialScore
 
 
@@ -31,11 +31,14 @@ def joined(a: RunScores, b: RunScores) -> RunScores:
     common = sorted({s.trial_id for s in a.scores} & {s.trial_id for s in b.scores})
     if common:
         raise ConfigError(f"{counted(len(common), 'trial is', 'trials are')} in both, {common[0]} the first")
-    for what, of in (("language backends", "language_backend"), ("definitions", "metric_versions")):
-        found = [{str(getattr(s, of)) for s in judged(part.scores)} for part in (a, b)]
+    # A policy that crashed before it showed its card has not said which language backend it uses.
+    parts = [judged(part.scores) for part in (a, b)]
+    told = [{s.language_backend for s in part if not s.is_crash} for part in parts]
+    defined = [{str(s.metric_versions) for s in part} for part in parts]
+    for what, found in (("language backends", told), ("definitions", defined)):
         if all(found) and found[0] != found[1]:
             raise ConfigError(f"different {what}, {' and '.join(', '.join(sorted(values)) for values in found)}")
-    scores = sorted([*a.scores, *b.scores], key=lambda score: score.trial_id)
+    scores = with_names(sorted([*a.scores, *b.scores], key=lambda score: score.trial_id))
     check_one_run(scores)
     scored = {score.trial_id for score in scores}
     names = a.versions.keys() | b.versions.keys()

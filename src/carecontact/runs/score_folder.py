@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carecontact.errors import ConfigError
 from carecontact.recording.versions import versions_of
-from carecontact.runs.pooling import check_one_run
+from carecontact.runs.pooling import check_one_run, with_names
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.score_files import ScoredFile, score_files
 from carecontact.scoring.metrics.metric import METRICS
@@ -48,6 +48,7 @@ def score_run(
         _add(versions, found.versions)
     if scores:
         _add(versions, versions_of(map(METRICS.package, METRICS)))
+    scores = with_names(scores)
     check_one_run(scores)
     return RunScores(scores=scores, skipped=skipped, versions={k: sorted(v) for k, v in sorted(versions.items())})
 

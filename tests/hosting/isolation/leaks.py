@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import json
 import os
 import resource
@@ -23,6 +24,8 @@ SEIZE = 0x4206
 PROCESS_VM_READV, PIDFD_GETFD = 310, 438
 IN_CREATE = 0x100
 """linux/inotify.h"""
+DN_ACCESS, BEST_EFFORT = 1, 2 << 13 | 4
+"""linux/fcntl.h; linux/ioprio.h, the class and value that processes have."""
 UNLIMITED = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
 SIZE = ctypes.c_size_t
 
@@ -73,6 +76,11 @@ def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
             f"import resource; resource.prlimit({harness}, resource.RLIMIT_CPU, {UNLIMITED})"
         ),
         "connect to an abstract socket": lambda: _connected(f"\0{socket_name}"),
+        "hold a lease on a file that the harness opens": lambda: _leased(package / "errors.py"),
+        "be told of what is opened in the package": lambda: _notified(package),
+        "learn the names of the run's new files": lambda: _watched(run),
+        "learn the names of settled persons that are used": lambda: _watched(settled),
+        "change the harness's priority at the disk": lambda: _disk_priority(harness),
     }
 
 
@@ -83,7 +91,6 @@ def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
     return {
         "size of a recording whose name it guesses": recording.stat,
         "change the mode of a recording": lambda: recording.chmod(0o644),
-        "learn the names of the run's new files": lambda: _watched(run),
         "change the priority of the harness": lambda: os.setpriority(os.PRIO_PROCESS, harness, 0),
         "bind the harness to processors": lambda: os.sched_setaffinity(harness, os.sched_getaffinity(harness)),
         "learn that a process exists": Path(f"/proc/{harness}").stat,
@@ -178,6 +185,25 @@ def _watched(folder: Path) -> None:
         _checked(_libc().inotify_add_watch(handle, os.fsencode(folder), IN_CREATE))
     finally:
         os.close(handle)
+
+
+def _leased(path: Path) -> None:
+    with path.open("rb") as file:
+        fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+        fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_UNLCK)
+
+
+def _notified(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.fcntl(handle, fcntl.F_NOTIFY, DN_ACCESS)
+    finally:
+        os.close(handle)
+
+
+def _disk_priority(pid: int) -> None:
+    number = {"x86_64": 251, "aarch64": 30}[os.uname().machine]
+    _checked(_libc().syscall(number, 1, pid, BEST_EFFORT))
 
 
 def _shared_memory() -> None:

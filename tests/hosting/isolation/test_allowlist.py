@@ -76,6 +76,22 @@ def test_weights_in_the_cache_are_open_and_the_users_keys_beside_them_are_not(
     assert found == {str(cache / "torch"), str(cache / "huggingface" / "hub")}
 
 
+def test_a_policy_in_the_home_folder_does_not_open_what_is_hidden_there(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (".ssh", ".venv/lib"):
+        (folder / name).mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(folder))
+    found = asked(folder, given=[str(folder / ".venv" / "lib")])
+    assert {str(folder / name) for name in ("mine", "helper.py", ".venv/lib")} <= set(found)
+    assert not {str(folder), str(folder / ".ssh")} & set(found)
+    monkeypatch.setenv("HOME", str(folder / "mine"))
+    (folder / "mine" / ".ssh").mkdir()
+    found = asked(folder)
+    assert str(folder / "helper.py") in found
+    assert not {str(folder / name) for name in ("", "mine", "mine/.ssh")} & set(found)
+
+
 def test_the_package_of_a_policy_that_is_installed_elsewhere(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As an editable installation has it: a finder knows where, and ``sys.path`` does not."""
     elsewhere = folder / "weights"

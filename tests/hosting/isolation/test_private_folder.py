@@ -35,3 +35,14 @@ def test_each_is_new(tmp_path: Path) -> None:
     assert one.path.is_dir()
     one.remove()
     other.remove()
+
+
+def test_no_folder_lies_in_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every policy may read and write all of it, so that a policy would see those of parallel trials."""
+    (tmp_path / "shm" / "mine").mkdir(parents=True)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "shm" / "mine"))
+    monkeypatch.setattr("carecontact.hosting.isolation.private_folder.SHARED_MEMORY", str(tmp_path / "shm"))
+    monkeypatch.setattr("carecontact.hosting.isolation.private_folder.BESIDE_SHARED_MEMORY", str(tmp_path))
+    made = private_folder()
+    assert made.path.parent == tmp_path
+    made.remove()

@@ -69,8 +69,10 @@ def rights(
     keys = [path for path in map(os.path.expanduser, KEYS) if os.path.exists(path)]
     shut = [os.path.realpath(path) for path in (*closed, *keys)]
     places = [*SYSTEM, *PROCESS, *map(os.path.expanduser, CACHES), *_interpreter(), *_package(search_path, target)]
-    for place in [*places, *search_path, *_paths(given)]:
-        for path in without(os.path.realpath(place), shut):
+    home = os.path.realpath(os.path.expanduser("~"))
+    for place in map(os.path.realpath, [*places, *search_path, *_paths(given)]):
+        # A folder that holds the whole home folder does not open the keys that programs keep hidden there.
+        for path in without(place, [*shut, *_hidden(home)] if _inside(home, place) else shut):
             allow(path, READ)
     for path in (path for pattern in DEVICES for path in glob.glob(pattern)):
         allow(path, READ | DEVICE)
@@ -107,6 +109,12 @@ def without(folder: str, closed: Sequence[str]) -> Iterator[str]:
                 yield from without(path, closed)
             elif not any(_inside(a, b) for shut in closed for a, b in _both(shut, os.path.realpath(path))):
                 yield path
+
+
+def _hidden(folder: str) -> list[str]:
+    with suppress(OSError):
+        return [os.path.join(folder, name) for name in os.listdir(folder) if name.startswith(".")]
+    return []
 
 
 def _both(one: str, other: str) -> tuple[tuple[str, str], tuple[str, str]]:

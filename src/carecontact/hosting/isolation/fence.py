@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from carecontact.hosting.isolation.allowlist import rights
 from carecontact.hosting.isolation.landlock import SCOPES_SINCE, restrict, version
-from carecontact.hosting.isolation.limits import can_close_limits, close_limits
+from carecontact.hosting.isolation.system_calls import can_filter_calls, filter_calls
 from carecontact.hosting.isolation.unlisted import UnlistedFolders
 from carecontact.own_process import die_with_parent, drop_capabilities
 
@@ -28,17 +28,17 @@ By default these lie in the home folder, and some libraries fail if they cannot 
 NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
 
 
-def level(kernel: int, *, limits: bool) -> str:
+def level(kernel: int, *, calls: bool) -> str:
     """Describe the isolation that a version of Landlock gives; version 0 is a kernel without it.
 
     The first word of the description is the level: full, partial or none.
 
-    ``limits``: whether the limits of the harness's processes are closed as well.
+    ``calls``: whether system calls are filtered as well.
     """
-    if kernel >= SCOPES_SINCE and limits:
+    if kernel >= SCOPES_SINCE and calls:
         return "full"
     if kernel >= SCOPES_SINCE:
-        return "partial: this system cannot close the limits of the harness's processes (seccomp)"
+        return "partial: this system cannot filter system calls (seccomp)"
     if kernel >= TRUNCATE_SINCE:
         return "partial: this kernel's Landlock does not close signals to the harness and abstract sockets (Linux 6.12)"
     if kernel:
@@ -48,7 +48,7 @@ def level(kernel: int, *, limits: bool) -> str:
 
 def available() -> str:
     """Return the description (``level``) of the isolation that this system can give a policy."""
-    return level(version(), limits=can_close_limits())
+    return level(version(), calls=can_filter_calls())
 
 
 def isolate(options: Options) -> None:
@@ -78,7 +78,7 @@ def _enclose(options: Options) -> str:
     for name in CACHES:
         os.environ.setdefault(name, os.path.join(tempfile.gettempdir(), name.lower()))
     drop_capabilities()
-    reached = level(restrict(allowed), limits=close_limits())
+    reached = level(restrict(allowed), calls=filter_calls())
     if unlisted := [folder for folder in (*search_path, *sys.path) if os.path.isdir(folder) and not _listed(folder)]:
         sys.meta_path.append(UnlistedFolders(unlisted))
     for word, paths in (("read", options["readable"]), ("write", options["writable"])):

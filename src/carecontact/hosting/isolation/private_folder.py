@@ -10,7 +10,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from carecontact.hosting.isolation.allowlist import SHARED_MEMORY
+
 PREFIX = "carecontact-policy-"
+BESIDE_SHARED_MEMORY = "/tmp"
+"""Where the folders lie if TMPDIR is in shared memory, which every policy may read and write."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +32,7 @@ def private_folder() -> PrivateFolder:
     """Make a folder, after removing those whose harness is gone. Raises OSError if none can be made."""
     remove_abandoned_folders()
     while True:
-        path = Path(tempfile.mkdtemp(prefix=PREFIX))
+        path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_place()))
         # Between making and locking the folder, another harness may have removed it as an abandoned one.
         with suppress(FileNotFoundError, BlockingIOError):
             made = PrivateFolder(path=path, lock=_locked(path))
@@ -39,9 +43,14 @@ def private_folder() -> PrivateFolder:
 
 def remove_abandoned_folders() -> None:
     """Remove the folders of policies whose harness was killed."""
-    for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+    for path in _place().glob(f"{PREFIX}*"):
         with suppress(OSError):
             PrivateFolder(path=path, lock=_locked(path)).remove()
+
+
+def _place() -> Path:
+    place = Path(tempfile.gettempdir()).resolve()
+    return Path(BESIDE_SHARED_MEMORY) if place.is_relative_to(SHARED_MEMORY) else place
 
 
 def _locked(path: Path) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -17,6 +18,11 @@ from carecontact.errors import ActionError, ContractError, LanguageError, Policy
 from carecontact.hosting.wire import codec
 from carecontact.hosting.wire.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
 from carecontact.hosting.wire.tracebacks import TRACEBACK_CHARS, told
+
+QUIET = logging.getLogger("carecontact.wire")
+"""The log of the WebSocket library, which writes a traceback when a client misbehaves. That is no fault of the policy,
+among whose output it would stand."""
+QUIET.disabled = True
 
 
 def serve_policy(
@@ -54,8 +60,9 @@ def serve_policy(
         finished.wait()
 
     with serve(
-        hand_over, "127.0.0.1", port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1
-    ) as server:
+        hand_over, "127.0.0.1", port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1,
+        logger=QUIET,
+    ) as server:  # fmt: skip
         threading.Thread(target=server.serve_forever, daemon=True).start()
         on_port(server.socket.getsockname()[1])
         try:
