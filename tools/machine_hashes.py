@@ -5,10 +5,10 @@
     python tools/machine_hashes.py compare runs/here here.json                 # on the other, with the file
     python tools/machine_hashes.py compare runs/here runs/there                # or with the recordings themselves
 
-The file holds a hash of every array and of the header of every recording, and says what drew the pictures on which
-processor. ``compare`` names what differs, and with recordings also by how much; status 1 if anything does. What lies
-under ``wall/`` is time and does not count. Trials of a protocol with sensor noise need one ``--noise-salt`` or
-``--salt-file``.
+The file holds a hash of every array and of the header of every recording, and says which libraries rounded the numbers
+and drew the pictures, on which processor. ``compare`` names what differs, and with recordings also by how much; status
+1 if anything does. What lies under ``wall/`` may differ and does not count. Trials of a protocol with sensor noise need
+one ``--noise-salt`` or ``--salt-file``.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import numpy as np
 
 from carecontact.errors import counted
 from carecontact.recording import Recording, read_recording
+from carecontact.recording.arithmetic import arithmetic
 from carecontact.recording.canonical import WALL_CLOCK, header_json, little_endian
 
 HEADER = "header"
@@ -62,10 +63,10 @@ def hashes(run: Path) -> Table:
 
 
 def machine() -> dict[str, str]:
-    """The processor, and the graphics library that drew the pictures."""
+    """The processor, the libraries that rounded the numbers, and the graphics library that drew the pictures."""
     from carecontact.sim.rendering import import_opengl
 
-    facts = {"system": platform.platform(), "machine": platform.machine()}
+    facts = {"system": platform.platform(), "machine": platform.machine(), "arithmetic": arithmetic()}
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
         first = dict(

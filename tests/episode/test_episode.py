@@ -21,6 +21,7 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.messages import observation_sha256
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, canonical_hash
+from carecontact.recording.arithmetic import ARITHMETIC, arithmetic
 from carecontact.scoring import score_recording
 from carecontact.trials.trial import run_trial
 
@@ -92,6 +93,7 @@ def test_a_loop_and_a_trial_s_process_make_the_same_recording(
     differ = {path for path in arrays if not np.array_equal(here[path], there[path], equal_nan=True)}
     assert differ == set()
     assert canonical_hash(here) == canonical_hash(there)
+    assert there[ARITHMETIC].tobytes().decode() == arithmetic()
 
 
 def test_what_step_says_is_how_it_ended(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:

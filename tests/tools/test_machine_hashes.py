@@ -25,7 +25,7 @@ def test_equal_runs_are_equal_whatever_time_they_took(tmp_path: Path, capsys: py
     one, other, file = stored(tmp_path / "a"), stored(tmp_path / "another"), tmp_path / "hashes.json"
     assert main(["write", str(one), str(file)]) == 0
     assert json.loads(file.read_text())["machine"] == machine()
-    assert {"renderer", "opengl", "machine"} <= machine().keys()
+    assert {"renderer", "opengl", "machine", "arithmetic"} <= machine().keys()
     for with_what in (file, one):
         assert main(["compare", str(other), str(with_what)]) == 0
         assert capsys.readouterr().out.endswith("equal\n")

@@ -251,6 +251,10 @@ def check_isolation() -> Finding:
 
 
 def check_machine() -> Finding:
+    """Tell how many trials fit on this machine, and what rounds their numbers."""
+    import numpy  # noqa: F401  # Its linear algebra is that of the trials.
+
+    from carecontact.recording.arithmetic import arithmetic
     from carecontact.trials.workers import available_cores
 
     cores = available_cores()
@@ -260,6 +264,7 @@ def check_machine() -> Finding:
         detail += f", {memory:.0f} GiB of memory"
         if memory < MEMORY_PER_TRIAL_GIB * cores:
             detail += f"; use --jobs {max(1, int(memory / MEMORY_PER_TRIAL_GIB))}"
+    detail += f"; numbers are rounded by {arithmetic()}"
     return Finding(name="machine", fine=True, detail=detail)
 
 

@@ -46,6 +46,7 @@ from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
+from carecontact.recording.arithmetic import ARITHMETIC, arithmetic
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
 from carecontact.regions import REGIONS
 from carecontact.sim.impedance import steps_of_period
@@ -320,6 +321,7 @@ class Episode:
             [renders[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
         )
         extra["wall/report_renders"] = np.array([report_renders], "<f8")
+        extra[ARITHMETIC] = np.frombuffer(arithmetic().encode(), "u1")
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
             card=None if self.card is None else self.card.plain(),

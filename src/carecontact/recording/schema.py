@@ -94,7 +94,8 @@ the skin round the target region, dented as at the peak, with its triangles ``re
 same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was
 isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
 leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
-``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``)."""
+``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``). ``wall/arithmetic``
+names, as text, the libraries that rounded the numbers (``recording.arithmetic``)."""
 
 
 class Failure(BaseModel):

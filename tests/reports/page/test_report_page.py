@@ -541,6 +541,17 @@ def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -
     assert "not fully" not in opened
 
 
+def test_provenance_names_the_arithmetic_of_all_trials(run_of_7: Run, tmp_path: Path) -> None:
+    def shown() -> str:
+        (found,) = re.findall(r"Arithmetic</th><td>(.*?)</td>", write(run_of_7, tmp_path))
+        return found
+
+    assert shown() == NOT_RECORDED
+    for number, recording in enumerate(run_of_7.recordings.values()):
+        recording.arrays["wall/arithmetic"] = np.frombuffer(b"library b" if number == 3 else b"library a", "u1")
+    assert shown() == "library a, library b"
+
+
 def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     headers = [r.header for r in run_of_42.recordings.values()]
     rows = dict(provenance_rows(run_of_42.scores, headers))

@@ -7,6 +7,7 @@ from typing import Any
 
 from carecontact.errors import counted
 from carecontact.protocols.frozen_state import frozen_state
+from carecontact.recording.arithmetic import ARITHMETIC
 from carecontact.recording.schema import Header, Recording
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.scoring.result import TrialScore
@@ -31,18 +32,21 @@ TEMPLATE = """\
 """
 
 
-def _keep_pace(score: TrialScore, recording: Recording, kept: Kept) -> None:
-    kept[score.trial_id] = recording[PACE].tolist() if PACE in recording.arrays else None
+def _keep_wall(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    text = recording[ARITHMETIC].tobytes().decode(errors="replace") if ARITHMETIC in recording.arrays else NOT_RECORDED
+    kept[score.trial_id] = {"pace": recording[PACE].tolist() if PACE in recording.arrays else None, "arithmetic": text}
 
 
-@section("provenance", order=140, template=TEMPLATE, keep=_keep_pace)
+@section("provenance", order=140, template=TEMPLATE, keep=_keep_wall)
 def provenance(page: Page) -> dict[str, Any]:
+    wall = list(page.kept.get("provenance", {}).values())
     return {
         "n": len(page.judged),
         "read": len(page.headers),
         "provenance": [
             *provenance_rows(page.judged or page.scores, list(page.headers.values())),
-            *_pace(list(page.kept.get("provenance", {}).values())),
+            ("Arithmetic", _distinct(kept["arithmetic"] for kept in wall)),
+            *_pace([kept["pace"] for kept in wall]),
         ],
     }
 
