@@ -122,6 +122,7 @@ def test_a_shipped_protocol_with_its_lock_runs_here(shipped: Protocol) -> None:
     ("change", "told"),
     [
         (lambda lock: {"versions": lock.versions | {"mujoco": "4.0.1"}}, "version of mujoco: locked 4.0.0, here 4.0.1"),
+        (lambda lock: {"versions": lock.versions | {"mediapipe": "not installed"}}, "here not installed"),
         (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
         (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
         (lambda lock: {"metrics": []}, "metric C1@1: locked, not here"),

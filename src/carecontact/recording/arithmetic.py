@@ -16,7 +16,7 @@ def arithmetic() -> str:
 
     OpenBLAS chooses its kernels by what the processor can do (``OPENBLAS_CORETYPE`` overrides it). Each sums a product
     of matrices in another order, and contact amplifies the last bits of a model that was built with such products.
-    Two machines make the same recordings only if all three parts are equal.
+    Two machines with the same text make the same recordings.
     """
     # Here, because it looks through all libraries of the process, and few callers need it.
     from threadpoolctl import threadpool_info  # pyright: ignore[reportMissingTypeStubs]

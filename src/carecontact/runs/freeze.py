@@ -97,11 +97,13 @@ def drift(lock: Lock, now: Lock) -> list[str]:
         for name, before, after in _changed(lock.fields, now.fields)
     ]
     said += [f"metric {metric}: locked, not here" for metric in sorted(set(lock.metrics) - set(now.metrics))]
-    for what, before, after in (("version of ", lock.versions, now.versions), ("asset ", lock.assets, now.assets)):
-        for name in sorted(before.keys() | after.keys()):
-            old, new = before.get(name, "none"), after.get(name, "none")
-            if old != new:
-                said.append(f"{what}{name}: locked {old[:12]}, here {new[:12]}")
+    said += [
+        f"version of {name}: locked {old or 'none'}, here {new or 'none'}"
+        for name, old, new in _changed(lock.versions, now.versions)
+    ]
+    for name, *hashes in _changed(lock.assets, now.assets):
+        old, new = (str(found or "none")[:12] for found in hashes)
+        said.append(f"asset {name}: locked {old}, here {new}")
     for world, sums in now.worlds.items():
         held = lock.worlds.get(world, {})
         changed = [
