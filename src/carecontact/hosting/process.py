@@ -66,6 +66,9 @@ main(options)
 """
 
 
+PORTS = range(1, 1 << 16)
+
+
 class PolicyProcess(PolicyConversation):
     """A conversation with a policy in a process that this object starts; it leaves no process behind."""
 
@@ -182,7 +185,10 @@ class PolicyProcess(PolicyConversation):
                 self.isolation = str(json.loads(next(lines))["isolation"])
                 told: dict[str, Any] = json.loads(next(lines))
                 if "error" not in told:
-                    return int(told["port"])
+                    port = told["port"]
+                    if type(port) is not int or port not in PORTS:
+                        raise ValueError
+                    return port
                 kind, why = told["kind"], str(told["error"])
             except (ValueError, TypeError, KeyError, RecursionError):
                 # Only code of the policy can have written this, so that it counts as the policy's failure.

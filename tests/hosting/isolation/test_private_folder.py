@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -46,3 +47,29 @@ def test_no_folder_lies_in_shared_memory(tmp_path: Path, monkeypatch: pytest.Mon
     made = private_folder()
     assert made.path.parent == tmp_path
     made.remove()
+
+
+@pytest.mark.parametrize("depth", [900, 1500, 5000])
+def test_however_deep_a_policys_folders_are_they_go(tmp_path: Path, depth: int) -> None:
+    """The deepest has no path that a system call would take."""
+    made = private_folder()
+    place = os.open(made.path, os.O_RDONLY)
+    for _ in range(depth):
+        os.mkdir("d", dir_fd=place)
+        inside = os.open("d", os.O_RDONLY, dir_fd=place)
+        os.close(place)
+        place = inside
+    os.close(place)
+    made.remove()
+    assert not list(tmp_path.iterdir())
+
+
+def test_folders_without_rights_go(tmp_path: Path) -> None:
+    """For an ordinary user; root needs no rights."""
+    made = private_folder()
+    (made.path / "one" / "two").mkdir(parents=True)
+    (made.path / "one" / "two" / "file").touch()
+    (made.path / "one" / "two").chmod(0)
+    (made.path / "one").chmod(0)
+    made.remove()
+    assert not list(tmp_path.iterdir())
