@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -340,5 +341,48 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> No
     # Members of a gzip file follow each other.
     packed.write_bytes(gzip.compress(bytes(64 << 20)) * 40)
     assert packed.stat().st_size < 3_000_000
-    with pytest.raises(ConfigError, match=r"bomb.json.gz unpacks to more than the 256 MB that the scores of a run may"):
+    with pytest.raises(ConfigError, match=r"bomb.json.gz unpacks to more than the 128 MB that the scores of a run may"):
         read_results(packed)
+
+
+HEAD = b'{"schema":"carecontact-results-1","trials":[],"versions":{}'
+MANY = 900_000
+FOREIGN = {
+    "lists": b'{"a":[' + b"[]," * 5_000_000 + b"[]]}",
+    "values": b'{"a":[' + b"0," * 5_000_000 + b"0]}",
+    "trials": b'{"schema":"carecontact-results-1","skipped":{},"versions":{},"trials":[' + b"{}," * MANY + b"{}]}",
+    "skipped": HEAD + b',"skipped":{' + b",".join(b'"%d":0' % i for i in range(MANY)) + b"}}",
+    "missing": HEAD + b',"skipped":{},"missing":[' + b"0," * MANY + b"0]}",
+    "one trial": HEAD.replace(b"[]", b'[{"additional":{' + b",".join(b'"%d":[]' % i for i in range(MANY)) + b"}}]")
+    + b',"skipped":{}}',
+    "depth": b"[" * 200_000,
+}
+"""Documents that are small when packed, and take gigabytes if each fault is described or each value becomes an
+object."""
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_foreign_document_is_refused_in_bounded_memory(name: str, tmp_path: Path) -> None:
+    packed = tmp_path / "results.json"
+    packed.write_bytes(gzip.compress(FOREIGN[name], 1))
+    code = (
+        "import resource, sys; from carecontact.errors import ConfigError\n"
+        "from carecontact.runs.results_file import read_results\n"
+        "used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "try: read_results(sys.argv[1])\n"
+        "except ConfigError as error: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used, error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(packed)], capture_output=True, text=True, check=True)
+    kilobytes, told = done.stdout.split(" ", 1)
+    assert int(kilobytes) < 512 << 10
+    assert "results.json is damaged or of another release" in told
+
+
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "results.json")
+    with pytest.raises(ConfigError, match=r"results\.json is not a file"):
+        read_results(tmp_path / "results.json")
+    with (tmp_path / "large.json").open("wb") as file:
+        file.truncate(6 << 30)
+    with pytest.raises(ConfigError, match="more than the 128 MB"):
+        read_results(tmp_path / "large.json")

@@ -10,7 +10,7 @@ import pytest
 
 from carecontact.errors import AssetError, UnknownNameError
 from carecontact.recording.schema import SEGMENTS
-from carecontact.world.human import library
+from carecontact.world.human import stored
 from carecontact.world.human.body import PARENT, Body
 from carecontact.world.human.library import body_names, load_body
 
@@ -23,7 +23,7 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     source = resources.files("carecontact") / "assets" / "bodies"
     with resources.as_file(source) as folder:
         shutil.copytree(folder, tmp_path / "assets" / "bodies")
-    monkeypatch.setattr(library.resources, "files", lambda _: tmp_path)
+    monkeypatch.setattr(stored.resources, "files", lambda _: tmp_path)
     return tmp_path / "assets" / "bodies"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from carecontact.errors import AssetError
-from carecontact.world.human import skin
+from carecontact.world.human import stored
 from carecontact.world.human.body import Body
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.human.skin import TEXTURE_SIZE, Appearance, baked_texture, paint
@@ -30,7 +30,7 @@ def skins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: Body) -> Path:
     path = folder / f"{body.name}.skin.png"
     with resources.as_file(BODIES / path.name) as source:
         shutil.copy(source, path)
-    monkeypatch.setattr(skin.resources, "files", lambda _: tmp_path)
+    monkeypatch.setattr(stored.resources, "files", lambda _: tmp_path)
     return path
 
 

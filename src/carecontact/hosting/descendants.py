@@ -6,7 +6,7 @@ import os
 import secrets
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -28,12 +28,15 @@ def marks_of(harness_pid: int) -> str:
     return f"{harness_pid}."
 
 
-def kill_marked(beginning: str) -> None:
+def kill_marked(beginning: str, *, root: int | None = None) -> None:
     """Kill, by SIGKILL, the processes whose mark begins so and their descendants, until there are none.
 
-    A process that removed the variable can be found only as long as the process that started it is alive.
+    A process that removed the variable, or hides it, is found as long as the process that started it is alive.
+
+    Args:
+        root: id of a child of this process that is killed with its descendants whatever its mark is.
     """
-    _kill(lambda mark, process: mark.startswith(beginning))
+    _kill(lambda folder, parent: folder.name == str(root) or any(m.startswith(beginning) for m in _marks(folder)))
 
 
 def kill_abandoned() -> None:
@@ -42,17 +45,36 @@ def kill_abandoned() -> None:
     if not here.is_dir():
         return
 
-    def abandoned(mark: str, process: Path) -> bool:
+    def abandoned(folder: Path, parent: int) -> bool:
         # Process ids inside a container on this machine have no meaning outside it.
-        ours = (process / "ns" / "pid").readlink() == (here / "ns" / "pid").readlink()
-        return ours and not (_PROC / mark.partition(".")[0]).is_dir()
+        return any(
+            (folder / "ns" / "pid").readlink() == (here / "ns" / "pid").readlink()
+            and not (_PROC / mark.partition(".")[0]).is_dir()
+            for mark in _marks(folder)
+        )
 
     _kill(abandoned)
 
 
-def _kill(wanted: Callable[[str, Path], bool]) -> None:
+def kill_children(*, but: Collection[int]) -> None:
+    """Kill, by SIGKILL, the children of this process, those that it adopted included, and their descendants, until
+    there are none; reap what has ended.
+
+    Args:
+        but: ids of children that go on, with their descendants, and that somebody else reaps.
+    """
+    own = os.getpid()
+    _kill(lambda folder, parent: parent == own and int(folder.name) not in but)
+    for pid, (state, parent) in _table().items():
+        if parent == own and state == "Z" and pid not in but:
+            with suppress(ChildProcessError):
+                os.waitpid(pid, os.WNOHANG)
+
+
+def _kill(wanted: Callable[[Path, int], bool]) -> None:
+    """``wanted`` receives a process's folder in /proc and its parent's id."""
     until = time.monotonic() + PATIENCE_S
-    while found := _marked(wanted):
+    while found := _found(wanted):
         for pid in found:
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
@@ -61,23 +83,30 @@ def _kill(wanted: Callable[[str, Path], bool]) -> None:
         time.sleep(0.01)
 
 
-def _marked(wanted: Callable[[str, Path], bool]) -> set[int]:
-    """Return the ids of the living processes for which ``wanted`` is true, and of all their descendants.
-
-    ``wanted`` receives a process's mark and its folder in /proc.
-    """
-    parent_of: dict[int, int] = {}
+def _found(wanted: Callable[[Path, int], bool]) -> set[int]:
+    """Return the ids of the living processes for which ``wanted`` is true, and of all their descendants."""
+    living = {pid: parent for pid, (state, parent) in _table().items() if state not in "ZX"}
     found = set[int]()
-    for folder in _PROC.glob("[0-9]*"):
-        with suppress(OSError, ValueError, IndexError):
-            state, parent = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()[:2]
-            if state in "ZX":
-                continue
-            pid = int(folder.name)
-            parent_of[pid] = int(parent)
-            marks = [v for v in (folder / "environ").read_bytes().split(b"\0") if v.startswith(f"{MARK}=".encode())]
-            if any(wanted(mark.decode(errors="replace").partition("=")[2], folder) for mark in marks):
+    for pid, parent in living.items():
+        with suppress(OSError, ValueError):
+            if wanted(_PROC / str(pid), parent):
                 found.add(pid)
-    while more := {pid for pid, parent in parent_of.items() if parent in found and pid not in found}:
+    while more := {pid for pid, parent in living.items() if parent in found and pid not in found}:
         found |= more
     return found - {os.getpid()}
+
+
+def _table() -> dict[int, tuple[str, int]]:
+    """Process id -> state and parent, as far as the system shows them."""
+    found: dict[int, tuple[str, int]] = {}
+    for folder in _PROC.glob("[0-9]*"):
+        with suppress(OSError, ValueError):
+            state, parent = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()[:2]
+            found[int(folder.name)] = state, int(parent)
+    return found
+
+
+def _marks(folder: Path) -> list[str]:
+    variables = (folder / "environ").read_bytes().split(b"\0")
+    named = f"{MARK}=".encode()
+    return [found.removeprefix(named).decode(errors="replace") for found in variables if found.startswith(named)]

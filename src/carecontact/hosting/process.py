@@ -19,15 +19,16 @@ from typing import TYPE_CHECKING, Any
 
 import carecontact
 from carecontact.cache_folder import cache_folder
-from carecontact.errors import PolicyError
+from carecontact.errors import PolicyError, StorageError
 from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
-from carecontact.hosting.descendants import MARK, kill_marked, new_mark
+from carecontact.hosting.descendants import MARK, kill_children, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
 from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
 from carecontact.hosting.wire.connection import Connection
+from carecontact.own_process import adopts_orphans
 from carecontact.policies.registry import policy_target
 
 if TYPE_CHECKING:
@@ -140,7 +141,10 @@ class PolicyProcess(PolicyConversation):
         try:
             self._folder = private_folder()
         except OSError as error:
-            raise PolicyError("start", f"no temporary folder could be made for its process: {error}") from None
+            raise StorageError(
+                f"no temporary folder can be made for the policy's process: {error}; free some space, or name a folder "
+                "with space in the variable TMPDIR, then give the same command again"
+            ) from None
         self._line = socket.socket()
         self._line.bind(("127.0.0.1", 0))
         report_read, report_write = os.pipe()
@@ -269,7 +273,10 @@ class PolicyProcess(PolicyConversation):
         if self._child is not None:
             # First the marked processes, as long as their parents live, by which they are found; the process group
             # is for systems without /proc.
-            kill_marked(self._mark)
+            kill_marked(self._mark, root=self._child.pid)
+            # Then this process has no other children. It adopted those that neither have the mark nor a living parent.
+            if adopts_orphans():
+                kill_children(but={self._child.pid})
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._child.pid, signal.SIGKILL)
 
@@ -278,7 +285,9 @@ class PolicyProcess(PolicyConversation):
         child, ends = self._child, (self._lifeline, self._stack)
         self._child = self._lifeline = self._stack = None
         if child is not None:
-            child.wait()
+            # A process that traces it could keep it from ending for good.
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(GRACE_S)
         if self._reader is not None:
             self._reader.join(GRACE_S)
         if self._folder is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from carecontact.contract.protocol import protocol_title
 from carecontact.contract.trial import TrialSpec
@@ -22,8 +22,11 @@ from carecontact.runs.identity import Identity
 from carecontact.runs.other_release import ELSEWHERE, damaged, install_line, lost_trials
 from carecontact.runs.plan import SALT_DIGITS
 from carecontact.runs.results_file import skipped_before
+from carecontact.runs.stored_json import parse, read_bounded
 
 MANIFEST = "manifest.json"
+MAX_BYTES = 16 << 20
+"""Largest size: more than half a million trials."""
 Purpose = Literal["run", "demo"]
 
 
@@ -44,9 +47,9 @@ class Manifest(BaseModel):
     policy: str
     protocol: ProtocolName
     identity: Identity
-    trials: list[str]
+    trials: Annotated[list[str], FailFast()]
     """Ids of every trial that any command planned here."""
-    elsewhere: list[str] = []
+    elsewhere: Annotated[list[str], FailFast()] = []
     """Ids of the other trials of the run of which this is a part (``run --shard``)."""
     noise_salt: str = ""
     """Salt of the sensor noise of every trial here; empty where the protocol names no sensor noise, and where the run
@@ -179,8 +182,8 @@ def read_manifest(out: Path) -> Manifest | None:
     because what was planned is then unknown."""
     path, content = out / MANIFEST, b""
     try:
-        content = path.read_bytes()
-        return Manifest.model_validate(json.loads(content))
+        content = read_bounded(path, most=MAX_BYTES)
+        return Manifest.model_validate(parse(content))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError as error:

@@ -33,7 +33,7 @@ def _requirement(name: str, version: str | None) -> str:
 def damaged(content: bytes) -> str:
     """Return how a manifest that cannot be read is described: by the release that wrote it, where it names another
     one."""
-    with suppress(ValueError, KeyError, TypeError):
+    with suppress(ValueError, KeyError, TypeError, RecursionError):
         version = str(cast("Any", json.loads(content))["identity"]["versions"]["carecontact"])
         if version != __version__:
             line = install_line(held={"carecontact": version}, now={"carecontact": __version__})

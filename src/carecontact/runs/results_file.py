@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, FailFast, Field, ValidationError
 
 from carecontact.errors import ConfigError
 from carecontact.recording.writer import replace_file
@@ -20,23 +20,43 @@ from carecontact.runs.contradiction import contradiction
 from carecontact.runs.pooling import check_one_run
 from carecontact.runs.results_content import results
 from carecontact.runs.run_scores import RunScores
+from carecontact.runs.stored_json import MAX_BYTES, parse, read_bounded
 from carecontact.scoring.result import TrialScore
 
 RESULTS_NAME = "results.json"
-MAX_BYTES = 256 << 20
-"""Largest size of unpacked scores; 140 trials have less than 2 MB."""
+MAX_TRIAL_BYTES = 1 << 20
+"""Largest size of one trial's scores as JSON; most have 6 kB."""
 GZIP = b"\x1f\x8b"
 """First bytes of a file that gzip packed (RFC 1952)."""
+
+
+def _are_texts(found: object) -> bool:
+    return isinstance(found, list) and all(isinstance(text, str) for text in cast("list[object]", found))
+
+
+def _checked(found: object) -> object:
+    """Raise one error for a mapping, where pydantic makes one for each of its values."""
+    held = list(cast("dict[object, object]", found).values()) if isinstance(found, dict) else []
+    if not (_are_texts(held) or all(map(_are_texts, held))):
+        raise ValueError("must map names to texts or to lists of texts")
+    return found
+
+
+def _small(found: object) -> object:
+    """Raise one error for the scores of a trial that are much longer than any, where pydantic might make many."""
+    if len(json.dumps(found)) > MAX_TRIAL_BYTES:
+        raise ValueError("holds more than the scores of a trial")
+    return found
 
 
 class _Results(BaseModel):
     """What of ``results.json`` is not computed from its trials."""
 
     version: Annotated[Literal["carecontact-results-1"], Field(alias="schema")]
-    trials: list[TrialScore]
-    skipped: dict[str, str]
-    versions: dict[str, list[str]]
-    missing: list[str] = []
+    trials: Annotated[list[Annotated[TrialScore, BeforeValidator(_small)]], FailFast()]
+    skipped: Annotated[dict[str, str], BeforeValidator(_checked)]
+    versions: Annotated[dict[str, Annotated[list[str], FailFast()]], BeforeValidator(_checked)]
+    missing: Annotated[list[str], FailFast()] = []
 
 
 def write_scores(folder: Path | str, run: RunScores) -> Path:
@@ -70,11 +90,13 @@ def read_results(path: Path | str) -> RunScores:
     Raises ConfigError for a file that cannot be read, contradicts itself or mixes protocols, policies or worlds.
     """
     try:
-        stored = _Results.model_validate_json(_unpacked(Path(path)))
+        stored = _Results.model_validate(parse(_unpacked(Path(path))))
     except ValidationError as error:
         first = error.errors()[0]
         why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
         raise ConfigError(f"{path} is damaged or of another release ({why})") from error
+    except ValueError as error:
+        raise ConfigError(f"{path} is damaged or of another release (not JSON: {error})") from error
     if fault := _fault(stored):
         raise ConfigError(f"{path} {fault}")
     check_one_run(stored.trials)
@@ -111,7 +133,7 @@ def _as_bytes(data: Mapping[str, Any]) -> bytes:
 
 
 def _unpacked(path: Path) -> bytes:
-    content = path.read_bytes()
+    content = read_bounded(path)
     if not content.startswith(GZIP):
         return content
     try:

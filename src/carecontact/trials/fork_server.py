@@ -18,7 +18,9 @@ from contextlib import suppress
 from importlib import import_module
 
 from carecontact.errors import DependencyError
-from carecontact.own_process import die_with_parent, hide_memory
+from carecontact.hosting.descendants import kill_children
+from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
+from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory, outlive_parent
 from carecontact.trials import worker
 
 NEWS = struct.Struct("=q")
@@ -34,11 +36,17 @@ NEEDED = (
 
 
 def main() -> None:
-    die_with_parent(os.getppid())
+    supervisor = os.getppid()
+    die_with_parent(supervisor)
     hide_memory()
+    adopt_orphans()
     line = socket.socket(fileno=os.dup(0))
     assert line.fileno() == TOLD_FD
     prepare()
+    # From here on, the end of the line says that the supervisor is gone, and there is something to clean up.
+    outlive_parent()
+    if os.getppid() != supervisor:
+        return
     alive: dict[int, tuple[int, int]] = {}
     while True:
         ready: list[int] = select.select([TOLD_FD, *alive], [], [])[0]
@@ -48,9 +56,13 @@ def main() -> None:
                 os.write(news, NEWS.pack(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
                 os.close(news)
                 os.close(descriptor)
+                # What a policy started and its worker, which was killed, could not kill.
+                kill_children(but={pid for pid, _ in alive.values()})
                 continue
             message, given, _, _ = socket.recv_fds(line, 1, 4)
             if not message:
+                kill_children(but=())
+                remove_abandoned_folders()
                 return
             pid = os.fork()
             if pid == 0:
@@ -73,8 +85,11 @@ def prepare() -> None:
         import_module(name)
     from carecontact.observation.keypoints import import_pose
     from carecontact.sim.rendering import import_opengl
+    from carecontact.world.human.library import body_names, load_body
 
     import_pose()
+    # Every file of every body is then in memory, and what happens to it on the disk does not change this run.
+    load_body(body_names()[0])
     # Where a library is missing, a trial that renders will say so.
     with suppress(DependencyError):
         import_opengl()

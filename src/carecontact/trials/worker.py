@@ -15,7 +15,7 @@ import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from carecontact.own_process import die_with_parent, hide_memory
+from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory
 
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look
@@ -55,6 +55,7 @@ def main() -> int:
     os.environ.update(SINGLE_THREAD)
     os.environ.update({name: value for name, value in WITHOUT_WINDOWS.items() if name not in os.environ})
     hide_memory()
+    adopt_orphans()
     from carecontact.recording.storage import is_full
 
     try:

@@ -75,6 +75,8 @@ def _enclose(options: Options) -> str:
         writable=options["writable"],
         closed=options["closed"],
     )
+    # The policy can read these options, and the names of the folders tell where the run is stored.
+    options["closed"] = []
     for name in CACHES:
         os.environ.setdefault(name, os.path.join(tempfile.gettempdir(), name.lower()))
     drop_capabilities()

@@ -3,7 +3,7 @@
 With these calls a policy could act on the trial's process or watch it, because both belong to the same user. It could
 set that process's resource limits, so that the kernel kills it; lower its priority at the disk; take a lease on a file
 that the next trial opens, so that the trial waits for 45 s and tells that it opened the file; or watch which files the
-harness makes.
+harness makes; or read how much processor time that process has used, which is more in contact.
 
 Numbers are those of linux/seccomp.h, linux/filter.h, linux/audit.h and of each architecture's table of system calls."""
 
@@ -21,7 +21,7 @@ NO_NEW_PRIVS, SET_SECCOMP = 38, 22
 FILTER, GET_ACTION_AVAIL = 2, 2
 SECCOMP = {"x86_64": 317, "aarch64": 277}
 """Machine -> number of the system call."""
-LOAD, EQUAL, RETURN = 0x20, 0x15, 0x06
+LOAD, EQUAL, AT_LEAST, RETURN = 0x20, 0x15, 0x35, 0x06
 CALL_AT, ARCHITECTURE_AT, ARGUMENTS_AT, ARGUMENT_BYTES = 0, 4, 16, 8
 """Offsets in ``struct seccomp_data``. Both machines are little-endian: the lower half of an argument comes first."""
 REFUSE, ALLOW = 0x00050000 | errno.EPERM, 0x7FFF0000
@@ -45,9 +45,15 @@ class Refused:
     """Values of the argument with which the call is refused; none: it is refused with every value."""
     unless: int | None = None
     """The value of the argument with which the call is allowed."""
+    at_least: int | None = None
+    """The lowest value of the argument, without a sign, with which the call is refused."""
 
     def steps(self) -> list[bytes]:
         """Return the instructions that decide about this call; the last one is a return in every case."""
+        if self.at_least is not None:
+            argument = _step(LOAD, ARGUMENTS_AT + ARGUMENT_BYTES * self.argument)
+            compared = _step(AT_LEAST, self.at_least, then=1)
+            return [argument, compared, _step(RETURN, ALLOW), _step(RETURN, REFUSE)]
         values = self.only if self.unless is None else (self.unless,)
         if not values:
             return [_step(RETURN, REFUSE)]
@@ -62,6 +68,9 @@ TELLS_OR_HOLDS = (1024, 1026, 1040)
 """Commands of ``fcntl`` (linux/fcntl.h): take a lease on a file (F_SETLEASE), be told of what happens in a folder
 (F_NOTIFY), take a lease on a folder (F_SETDELEG)."""
 
+CLOCKS_OF_OTHERS = 1 << 31
+"""linux/posix-timers.h: the number of a clock is negative where it is the processor time of a process."""
+
 CALLS = (
     # prlimit64. A process that calls itself 0 sets its own limits.
     Refused(numbers={"x86_64": 302, "i386": 340, "aarch64": 261, "arm": 369}, unless=0),
@@ -72,6 +81,12 @@ CALLS = (
     Refused(numbers={"x86_64": 254, "i386": 292, "aarch64": 27, "arm": 317}),
     Refused(numbers={"x86_64": 300, "i386": 338, "aarch64": 262, "arm": 367}),
     Refused(numbers={"x86_64": 251, "i386": 289, "aarch64": 30, "arm": 314}),
+    # timer_create, clock_gettime, clock_nanosleep, and the last two with times of 64 bits
+    Refused(numbers={"x86_64": 222, "i386": 259, "aarch64": 107, "arm": 257}, at_least=CLOCKS_OF_OTHERS),
+    Refused(numbers={"x86_64": 228, "i386": 265, "aarch64": 113, "arm": 263}, at_least=CLOCKS_OF_OTHERS),
+    Refused(numbers={"x86_64": 230, "i386": 267, "aarch64": 115, "arm": 265}, at_least=CLOCKS_OF_OTHERS),
+    Refused(numbers={"i386": 403, "arm": 403}, at_least=CLOCKS_OF_OTHERS),
+    Refused(numbers={"i386": 407, "arm": 407}, at_least=CLOCKS_OF_OTHERS),
 )
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-from importlib import resources
 
 import numpy as np
 
 from carecontact.errors import AssetError, UnknownNameError
 from carecontact.world.human.body import Body
 from carecontact.world.human.smplx import SMPLX_PREFIX, load_smplx
+from carecontact.world.human.stored import body_file, body_folder
 
 
 def body_names() -> list[str]:
     """Names of the shipped bodies, sorted."""
-    folder = resources.files("carecontact") / "assets" / "bodies"
+    folder = body_folder()
     return sorted(p.name.removesuffix(".npz") for p in folder.iterdir() if p.name.endswith(".npz"))
 
 
@@ -29,16 +30,15 @@ def load_body(name: str) -> Body:
         return load_smplx(name)
     if name not in body_names():
         raise UnknownNameError("body", name, [*body_names(), f"{SMPLX_PREFIX}FILE.npz?sex=F (your own)"])
-    folder = resources.files("carecontact") / "assets" / "bodies"
-    data = (folder / f"{name}.npz").read_bytes()
+    data = body_file(f"{name}.npz")
     digest = hashlib.sha256(data).hexdigest()
     try:
-        expected = json.loads((folder / f"{name}.provenance.json").read_text())["sha256"]
+        expected = json.loads(body_file(f"{name}.provenance.json"))["sha256"]
     except OSError as error:
         raise AssetError(f"body {name}: {error}; reinstall the package or run tools/bake_body.py") from None
     if digest != expected:
         raise AssetError(f"body {name}.npz has sha256 {digest[:12]}..., its provenance file says {expected[:12]}...")
-    with resources.as_file(folder / f"{name}.npz") as path, np.load(path) as z:
+    with np.load(io.BytesIO(data)) as z:
         arrays = {k: z[k] for k in z.files}
     segments = tuple(str(s) for s in arrays["segments"])
     weight = arrays["weight"].astype(np.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import resources
 
 import cv2
 import mujoco
@@ -14,6 +13,7 @@ from carecontact.errors import AssetError
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.library import body_names
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.human.stored import body_file
 
 TEXTURE_SIZE = 1024
 
@@ -32,13 +32,13 @@ def baked_texture(name: str) -> npt.NDArray[np.uint8]:
     """Return the default texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) of a shipped body. Raises AssetError if it is missing
     or broken.
     """
-    path = resources.files("carecontact") / "assets" / "bodies" / f"{name}.skin.png"
+    file = f"{name}.skin.png"
     try:
-        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+        image = cv2.imdecode(np.frombuffer(body_file(file), np.uint8), cv2.IMREAD_COLOR)
     except (OSError, cv2.error) as error:
         raise AssetError(f"skin of body {name}: {error}; reinstall the package or run tools/bake_skin.py") from None
     if image is None or image.shape != (TEXTURE_SIZE, TEXTURE_SIZE, 3):
-        raise AssetError(f"skin of body {name}: {path} is not a {TEXTURE_SIZE} x {TEXTURE_SIZE} colour PNG")
+        raise AssetError(f"skin of body {name}: {file} is not a {TEXTURE_SIZE} x {TEXTURE_SIZE} colour PNG")
     return np.ascontiguousarray(image[..., ::-1], np.uint8)
 
 
