@@ -172,6 +172,10 @@ class PolicyProcess(PolicyConversation):
                 os.close(end)
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
         self._reader.start()
+        if hasattr(os, "pidfd_open"):
+            threading.Thread(
+                target=self._end_rest, args=(self._child, os.pidfd_open(self._child.pid)), daemon=True
+            ).start()
         options = _options(
             self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write,
             harness_port=self._line.getsockname()[1],
@@ -268,17 +272,27 @@ class PolicyProcess(PolicyConversation):
             return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
+    def _end_rest(self, child: subprocess.Popen[bytes], ended: int) -> None:
+        """Wait for the end of the process, then kill what it started: as long as that holds the connection, its death
+        would go unnoticed.
+        """
+        select.select([ended], [], [])
+        os.close(ended)
+        if child is self._child:
+            self._kill()
+
     def _kill(self) -> None:
         """Kill the process and everything that the policy started."""
-        if self._child is not None:
+        child = self._child
+        if child is not None:
             # First the marked processes, as long as their parents live, by which they are found; the process group
             # is for systems without /proc.
-            kill_marked(self._mark, root=self._child.pid)
+            kill_marked(self._mark, root=child.pid)
             # Then this process has no other children. It adopted those that neither have the mark nor a living parent.
             if adopts_orphans():
-                kill_children(but={self._child.pid})
+                kill_children(but={child.pid})
             with suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._child.pid, signal.SIGKILL)
+                os.killpg(child.pid, signal.SIGKILL)
 
     def _drop(self) -> None:
         self._kill()
