@@ -82,3 +82,31 @@ def test_a_real_run_under_a_limit_of_the_file_size(tmp_path: Path) -> None:
     assert subprocess.run(command, capture_output=True).returncode == 0
     assert read_recording(out / "T1-s000.h5").header.ended == "time_limit"
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
+
+
+def test_a_temporary_disk_without_space_is_nobodys_failure(tmp_path: Path) -> None:
+    """The policy's folder cannot be made; with another one, the same command continues."""
+    out, no_folder = tmp_path / "run", tmp_path / "sitecustomize.py"
+    no_folder.write_text(
+        "import os, tempfile\n"
+        "make = tempfile.mkdtemp\n"
+        "def full(suffix=None, prefix=None, dir=None):\n"
+        "    if prefix == 'carecontact-policy-':\n"
+        "        raise OSError(28, 'No space left on device', '/full')\n"
+        "    return make(suffix, prefix, dir)\n"
+        "tempfile.mkdtemp = full\n"
+    )
+    command = [
+        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-1",
+        "--set", "phases.time_limit_s=1", "--jobs", "1", "--out", str(out),
+    ]  # fmt: skip
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr == (
+        "error: the run stops with 0 of 2 trials done: no temporary folder can be made for the policy's process: "
+        "[Errno 28] No space left on device: '/full'; free some space, or name a folder with space in the variable "
+        "TMPDIR, then give the same command again to continue\n"
+    )
+    assert [path.name for path in out.iterdir()] == ["manifest.json"]
+    assert subprocess.run(command, capture_output=True).returncode == 0

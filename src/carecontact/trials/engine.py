@@ -24,8 +24,8 @@ class Ended:
     """Warnings about the policy's first answer; None if it gave no answer."""
     unreached: str | None = None
     """Why no trial can begin: the policy's server could not be reached, or a package is missing."""
-    unstored: bool = False
-    """Whether there was no space for the recording."""
+    unstored: str | None = None
+    """Where there was no space for what the trial stores, and what to do; None: there was space."""
     lost: str | None = None
     """How the process or the node of the trial died, if the trial has to run once more; else empty."""
 

@@ -128,7 +128,7 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
             log=log.read_bytes() if log.exists() else None,
             warnings=ended.warnings,
             unreached=ended.unreached,
-            lost=f"node {node}: {os.strerror(errno.ENOSPC)}" if ended.unstored else None,
+            lost=f"node {node}: {ended.unstored}" if ended.unstored is not None else None,
         )
     finally:
         folder.remove()

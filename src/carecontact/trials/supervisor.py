@@ -3,8 +3,6 @@ out."""
 
 from __future__ import annotations
 
-import errno
-import os
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
@@ -204,7 +202,7 @@ class Run:
         self._take_finished()
         while self._waiting and self.running < (self.slots() if jobs is None else jobs):
             if not self._engine.has_room():
-                self._stop_full(f"less than {ROOM_BYTES >> 20} MB are free for each trial")
+                self._stop_full(str(no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")))
                 break
             spec = self._waiting.pop(0)
             # First, because the fork server takes a second to start.
@@ -216,7 +214,7 @@ class Run:
             return True
         if self._full is not None:
             done = f"the run stops with {len(self.ended)} of {counted(self._total, 'trial')} done"
-            raise StorageError(f"{done}: {no_space(self._out, self._full)} to continue")
+            raise StorageError(f"{done}: {self._full} to continue")
         return False
 
     def summary(self) -> RunSummary:
@@ -251,8 +249,8 @@ class Run:
                 self.unreached = done.unreached
                 self._waiting.clear()
                 continue
-            if done.unstored:
-                self._stop_full(os.strerror(errno.ENOSPC))
+            if done.unstored is not None:
+                self._stop_full(done.unstored)
                 continue
             if recording is None:
                 if self._full is None:

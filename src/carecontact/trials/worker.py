@@ -43,6 +43,8 @@ FIRST_ANSWER = "first_answer.json"
 UNREACHED = "unreached.txt"
 """File beside it in which the worker says why no trial can begin here, since it does not reach the policy's server or a
 package is missing; then there is no recording."""
+NO_SPACE = "no_space.txt"
+"""File beside it in which the worker says which other place than that of the recording has no space."""
 UNSTORED = 74
 """Exit status: EX_IOERR of sysexits.h."""
 LACKING = 69
@@ -68,7 +70,7 @@ def main() -> int:
 
 def _run() -> int:
     """Return the exit status. Raises StorageError or OSError where there is no space for what it writes."""
-    from carecontact.errors import CarecontactError, DependencyError, UnreachableError
+    from carecontact.errors import CarecontactError, DependencyError, StorageError, UnreachableError
     from carecontact.recording import write_recording
     from carecontact.recording.storage import is_full
     from carecontact.trials.failed import harness_error_recording, tail
@@ -112,6 +114,10 @@ def _run() -> int:
         return LACKING if isinstance(error, DependencyError) else 0
     except Exception as error:
         if is_full(error):
+            # Of the recording itself, the supervisor knows a better name of the place.
+            if isinstance(error, StorageError) and str(request.out.parent) not in str(error):
+                with suppress(OSError):
+                    request.out.with_name(NO_SPACE).write_text(str(error))
             raise
         trace = traceback.format_exc()
         sys.stderr.write(trace)

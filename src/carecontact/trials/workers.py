@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from carecontact.hosting.isolation.private_folder import remove_abandoned_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import FAILED, KILLED, Recording
+from carecontact.recording.storage import no_space
 from carecontact.runs.manifest import runs_beside
 from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording, tail
@@ -28,7 +30,7 @@ from carecontact.trials.launch import Launcher, Process, is_stopped
 from carecontact.trials.lost import Losses, is_policy_killed
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.told import Told
-from carecontact.trials.worker import FIRST_ANSWER, LACKING, UNREACHED, UNSTORED, WAITING
+from carecontact.trials.worker import FIRST_ANSWER, LACKING, NO_SPACE, UNREACHED, UNSTORED, WAITING
 
 ROOM_BYTES = 48 << 20
 """Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
@@ -111,7 +113,7 @@ class Workers:
                 continue
             returncode = worker.process.wait()
             if returncode == UNSTORED:
-                done.append(Ended(spec=worker.spec, recording=None, unstored=True))
+                done.append(Ended(spec=worker.spec, recording=None, unstored=self._unstored(worker)))
                 continue
             kind, death = _death(returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s)
             recording = self._collected(worker, kind, death)
@@ -143,6 +145,11 @@ class Workers:
         believed = self.policy.ref.kind == "remote" or worker.process.wait() == LACKING
         note = worker.partial.with_name(UNREACHED)
         return note.read_text(errors="replace") if believed and note.is_file() else None
+
+    def _unstored(self, worker: _Worker) -> str:
+        with suppress(OSError):
+            return readable(worker.partial.with_name(NO_SPACE).read_text(errors="replace"))
+        return str(no_space(self.out, os.strerror(errno.ENOSPC)))
 
     def _collected(self, worker: _Worker, kind: str, death: str) -> Recording | str:
         """Return the recording, then in ``worker.partial`` whoever wrote it, or why the trial has to run once more."""
