@@ -155,12 +155,14 @@ def test_a_table_whose_reader_goes_away_is_no_failed_check() -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
-def test_standard_output_without_space() -> None:
-    command = [sys.executable, "-m", "carecontact.cli", "list", "policies"]
+@pytest.mark.parametrize("option", [[], ["--json"]])
+def test_standard_output_without_space(option: list[str]) -> None:
+    command = [sys.executable, "-m", "carecontact.cli", "list", "policies", *option]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2
     assert done.stderr.startswith("error: standard output or a file: No space left on device; free some space there")
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])

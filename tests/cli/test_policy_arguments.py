@@ -119,3 +119,12 @@ def test_a_policy_that_cannot_be_imported_does_not_hide_the_others(
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
     assert "unknown, nowhere:Hover cannot be imported: ModuleNotFoundError" in rows["hover"]
     assert "zero-action" in rows
+
+
+def test_a_variable_that_is_no_text_is_refused_without_its_value(
+    mine: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine.setenv("TOKEN", "sekret-\udcff")
+    assert main([*RUN, "--policy-env", "TOKEN"]) == 2
+    told = capsys.readouterr().err
+    assert told == "error: --policy-env TOKEN: the value of this variable holds bytes that are not UTF-8\n"

@@ -124,3 +124,16 @@ def test_a_folder_without_leave_to_write_is_named(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(ConfigError, match="cannot be written to: Permission denied"), alone(tmp_path):
         pass
+
+
+def test_a_name_behind_a_link_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    """No recording and no message to a worker could hold it."""
+    place = os.fsencode(tmp_path) + b"/d\xff"
+    os.mkdir(place)
+    os.symlink(place, tmp_path / "link")
+    with (
+        pytest.raises(ConfigError, match=r"d\\udcff/run' holds bytes that are not UTF-8"),
+        alone(tmp_path / "link" / "run", make=True),
+    ):
+        pass
+    assert not os.listdir(place)

@@ -14,6 +14,7 @@ import carecontact
 from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
 from carecontact.runs import RunScores, read_results, results, score_run, write_scores
+from carecontact.runs.manifest import read_manifest
 from carecontact.runs.results_file import pack_results
 from carecontact.runs.run_scores import joined
 from carecontact.scoring import score_recording
@@ -386,3 +387,9 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
         file.truncate(6 << 30)
     with pytest.raises(ConfigError, match="more than the 128 MB"):
         read_results(tmp_path / "large.json")
+
+
+def test_a_manifest_that_is_nested_too_deeply_is_damaged(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_bytes(b"[" * 200_000)
+    with pytest.raises(ConfigError, match=r"manifest\.json is damaged or of another release \(not JSON: it is nested"):
+        read_manifest(tmp_path)

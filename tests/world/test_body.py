@@ -13,6 +13,7 @@ from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human import stored
 from carecontact.world.human.body import PARENT, Body
 from carecontact.world.human.library import body_names, load_body
+from carecontact.world.human.skin import baked_texture
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
@@ -153,3 +154,12 @@ def test_faces_of_a_segment_reach_one_ring_beyond_it(body: Body) -> None:
     assert (body.owner[faces] == index).any(1).all()
     others = set(map(tuple, body.faces)) - set(map(tuple, faces))
     assert not any((body.owner[list(face)] == index).any() for face in others)
+
+
+def test_no_file_of_a_body_is_read_alone(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An access time would tell an isolated policy which person the trial before its own had."""
+    read: list[str] = []
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.append(path.name) or path.open("rb").read())
+    load_body(body_names()[0])
+    baked_texture(body_names()[1])
+    assert sorted(read) == sorted(path.name for path in copied.iterdir())

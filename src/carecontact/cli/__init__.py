@@ -84,6 +84,8 @@ def _ended(as_json: bool, error: str, message: str, status: int) -> int:
             say_error(error, message, status)
     except BrokenPipeError:
         return _nobody_reads()
+    except OSError:  # Standard output is full, of which standard error has already told.
+        drop_output(sys.stdout.fileno())
     return status
 
 

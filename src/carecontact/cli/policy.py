@@ -160,6 +160,9 @@ def _variables(names: Sequence[str]) -> Mapping[str, str]:
             )
         if name not in os.environ:
             raise ConfigError(f"--policy-env {name}: this variable is not set in this shell; export it first")
+        # The value may be a secret, so that it is not shown.
+        if any("\udc80" <= character <= "\udcff" for character in os.environ[name]):
+            raise ConfigError(f"--policy-env {name}: the value of this variable holds bytes that are not UTF-8")
     try:
         check_variables(names)
     except ContractError as error:

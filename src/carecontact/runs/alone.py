@@ -30,6 +30,10 @@ def alone(folder: Path, *, make: bool = False) -> Generator[None]:
     Raises ConfigError if another command has the folder, or if nothing can be written there, and StorageError if there
     is no space.
     """
+    try:
+        str(folder.resolve()).encode()
+    except UnicodeEncodeError:
+        raise ConfigError(f"{str(folder.resolve())!a} holds bytes that are not UTF-8; rename it") from None
     made = False
     try:
         made = make and not folder.exists()

@@ -30,7 +30,7 @@ FILTERED = {
     "limit the files of the harness", "limit the processor time of the harness through a child",
     "hold a lease on a file that the harness opens", "be told of what is opened in the package",
     "learn the names of the run's new files", "learn the names of settled persons that are used",
-    "change the harness's priority at the disk",
+    "change the harness's priority at the disk", "processor time of the harness",
 }  # fmt: skip
 SINCE_RESOLVE = {"connect to a socket with a path"}
 PRIORITY = {"change the priority of the harness", "bind the harness to processors"}
