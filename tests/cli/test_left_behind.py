@@ -8,12 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from carecontact.own_process import adopts_orphans
-from tests.cli.test_stopping import _alive, _soon
+from tests.cli.test_stopping import _soon
 from tests.hosting.conftest import PREAMBLE
 
 POLICY = """
@@ -45,6 +46,13 @@ def unreadable():
     note()
     time.sleep(4321)
 
+def leaderless():
+    import threading
+    os.setsid()
+    threading.Thread(target=time.sleep, args=(4321,)).start()
+    note()
+    ctypes.CDLL(None).pthread_exit(None)
+
 def tracing():
     traced, above = os.getppid(), os.fork()
     if above == 0:
@@ -70,7 +78,15 @@ class P(Base):
 """
 
 
-def command(folder: Path, wait: str, *, also: str = "unreadable") -> list[str]:
+def _alive(pid: int) -> bool:
+    """Whether any of its threads runs."""
+    with suppress(OSError):
+        states = [path.read_text().rpartition(")")[2].split()[0] for path in Path(f"/proc/{pid}/task").glob("*/stat")]
+        return any(state not in "ZX" for state in states)
+    return False
+
+
+def command(folder: Path, wait: str, *, also: str = "leaderless") -> list[str]:
     (folder / "told").mkdir()
     (folder / "temporary").mkdir()
     (folder / "mine.py").write_text(PREAMBLE + POLICY.replace("WAIT", wait).replace("ALSO", also))

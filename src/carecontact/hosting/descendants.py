@@ -102,6 +102,9 @@ def _table() -> dict[int, tuple[str, int]]:
     for folder in _PROC.glob("[0-9]*"):
         with suppress(OSError, ValueError):
             state, parent = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()[:2]
+            # Its first thread has ended; the others still run, and hold files and locks.
+            if state == "Z" and len(os.listdir(folder / "task")) > 1:
+                state = "R"
             found[int(folder.name)] = state, int(parent)
     return found
 

@@ -53,7 +53,9 @@ def main() -> None:
         for descriptor in ready:
             if descriptor in alive:
                 pid, news = alive.pop(descriptor)
-                os.write(news, NEWS.pack(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
+                status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+                with suppress(BrokenPipeError):  # The supervisor is gone, of which the line tells next.
+                    os.write(news, NEWS.pack(status))
                 os.close(news)
                 os.close(descriptor)
                 # What a policy started and its worker, which was killed, could not kill.
