@@ -172,10 +172,10 @@ class PolicyProcess(PolicyConversation):
                 os.close(end)
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
         self._reader.start()
-        if hasattr(os, "pidfd_open"):
-            threading.Thread(
-                target=self._end_rest, args=(self._child, os.pidfd_open(self._child.pid)), daemon=True
-            ).start()
+        # Where the kernel lacks this, what the process started goes at the end of the conversation.
+        with suppress(AttributeError, OSError):
+            ended = os.pidfd_open(self._child.pid)
+            threading.Thread(target=self._end_rest, args=(self._child, ended), daemon=True).start()
         options = _options(
             self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write,
             harness_port=self._line.getsockname()[1],
