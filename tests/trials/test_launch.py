@@ -84,7 +84,11 @@ def descriptors(pid: int) -> set[str]:
     found: set[str] = set()
     for fd in Path(f"/proc/{pid}/fd").iterdir():
         with suppress(FileNotFoundError):
-            found.add(os.readlink(fd))
+            end = os.readlink(fd)
+            if end == "anon_inode:[pidfd]":
+                # All have this name; the process that one stands for tells them apart.
+                end += Path(f"/proc/{pid}/fdinfo/{fd.name}").read_text().partition("Pid:")[2].split()[0]
+            found.add(end)
     return found
 
 
