@@ -31,12 +31,6 @@ def die_with_parent(parent: int) -> None:
             os._exit(1)
 
 
-def outlive_parent() -> None:
-    """Take ``die_with_parent`` back."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, 0, 0, 0, 0)
-
-
 def adopt_orphans() -> None:
     """Become the parent of every descendant whose own parent ends, so that it can be found and killed."""
     if sys.platform == "linux":

@@ -86,6 +86,10 @@ def _alive(pid: int) -> bool:
     return False
 
 
+def _parent(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+
+
 def command(folder: Path, wait: str, *, also: str = "leaderless") -> list[str]:
     (folder / "told").mkdir()
     (folder / "temporary").mkdir()
@@ -123,7 +127,7 @@ def test_they_end_with_the_trial(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux lets a process adopt orphans")
 @pytest.mark.usefixtures("_killed")
-@pytest.mark.parametrize("whom", ["command", "worker", "policy"])
+@pytest.mark.parametrize("whom", ["command", "fork server", "worker", "keeper", "policy"])
 def test_they_end_with_whoever_is_killed(tmp_path: Path, whom: str) -> None:
     environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
     wait = "open(os.path.join(TOLD, '0'), 'w').write(f'{os.getpid()} {os.getppid()}'); time.sleep(600)"
@@ -131,7 +135,9 @@ def test_they_end_with_whoever_is_killed(tmp_path: Path, whom: str) -> None:
     try:
         note = tmp_path / "told" / "0"
         assert _soon(lambda: note.exists() and len(note.read_text().split()) == 2, within_s=60)
-        pids = dict(zip(("policy", "worker"), map(int, note.read_text().split()), strict=True)) | {"command": run.pid}
+        pids = dict(zip(("policy", "keeper"), map(int, note.read_text().split()), strict=True)) | {"command": run.pid}
+        pids["worker"] = _parent(pids["keeper"])
+        pids["fork server"] = _parent(pids["worker"])
         note.unlink()
         mine = started(tmp_path)
         assert len(mine) == 4

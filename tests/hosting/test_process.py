@@ -59,8 +59,8 @@ def _others() -> None:
         _OTHERS.update(_children())
 
 
-def _children() -> list[int]:
-    tasks = Path("/proc/self/task")
+def _children(pid: int | str = "self") -> list[int]:
+    tasks = Path(f"/proc/{pid}/task")
     if not tasks.is_dir():
         pytest.skip("lists child processes through /proc")
     found: list[int] = []
@@ -299,7 +299,7 @@ def test_a_policy_that_does_not_read_is_killed(launch: Launch) -> None:
     process.start()
     process.reset("touch", SESSION)
     process.act(synthetic_observation())
-    stopped = Path(f"/proc/{_children()[0]}/stat")
+    stopped = Path(f"/proc/{_children(_children()[0])[0]}/stat")
     assert _soon(lambda: stopped.read_text().rpartition(")")[2].split()[0] == "T")
     with pytest.raises(PolicyError, match=r"did not read its message within 0\.(3|29\d*) s") as caught:
         process.act(synthetic_observation(cameras={"overhead": synthetic_view(height=800, width=1600)}))

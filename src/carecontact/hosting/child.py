@@ -1,12 +1,11 @@
-"""What the policy's isolated process does: it raises the import wall, constructs the policy, reports the port, serves,
-and ends with its parent."""
+"""What the policy's isolated process does: it raises the import wall, constructs the policy, reports the port and
+serves."""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-import threading
 from collections.abc import Mapping
 from typing import NotRequired, TypedDict, cast
 
@@ -38,9 +37,7 @@ class Options(TypedDict):
     policy is imported, so that the policy cannot change it; then ``{"port": n}`` or
     ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
-    """File descriptor that reaches its end when the parent ends."""
-    parent: int
-    """Process id of the parent."""
+    """File descriptor that reaches its end when the harness closes the other one or ends; only the keeper has it."""
     harness_port: int
     """Port of the loopback interface from which the harness connects; connections from any other port are refused."""
     readable: list[str]
@@ -63,7 +60,6 @@ def main(options: Options) -> None:
     """Construct the policy behind the wall and serve it."""
     RECEIVED.update(options)
     give_stack(options["stack_fd"])
-    threading.Thread(target=_end_with_parent, args=(options["lifeline_fd"],), daemon=True).start()
     arguments = options["arguments"]
     with os.fdopen(options["report_fd"], "w") as report:
 
@@ -102,11 +98,3 @@ def _construct(target: str, arguments: Mapping[str, str]) -> Policy:
     if missing:
         raise TypeError(f"{target} has no method {' or '.join(missing)}; a policy has card, reset and act")
     return cast(Policy, policy)
-
-
-def _end_with_parent(lifeline_fd: int) -> None:
-    """End this process when its parent is gone, even if the policy hangs: the parent never writes, so that the read
-    returns only then.
-    """
-    os.read(lifeline_fd, 1)
-    os._exit(1)

@@ -28,15 +28,22 @@ def marks_of(harness_pid: int) -> str:
     return f"{harness_pid}."
 
 
-def kill_marked(beginning: str, *, root: int | None = None) -> None:
+def kill_marked(beginning: str, *, grace_s: float = 0.0) -> None:
     """Kill, by SIGKILL, the processes whose mark begins so and their descendants, until there are none.
 
     A process that removed the variable, or hides it, is found as long as the process that started it is alive.
 
     Args:
-        root: id of a child of this process that is killed with its descendants whatever its mark is.
+        grace_s: time [s] for them to end by themselves.
     """
-    _kill(lambda folder, parent: folder.name == str(root) or any(m.startswith(beginning) for m in _marks(folder)))
+
+    def marked(folder: Path, parent: int) -> bool:
+        return any(mark.startswith(beginning) for mark in _marks(folder))
+
+    until = time.monotonic() + grace_s
+    while time.monotonic() < until and _found(marked):
+        time.sleep(0.01)
+    _kill(marked)
 
 
 def kill_abandoned() -> None:

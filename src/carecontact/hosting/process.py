@@ -24,6 +24,7 @@ from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConv
 from carecontact.hosting.descendants import MARK, kill_children, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
 from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
+from carecontact.hosting.keeper import KEEPER_S
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
@@ -59,7 +60,9 @@ import json, sys
 options = json.load(sys.stdin)
 if options["root"] not in sys.path:
     sys.path.insert(0, options["root"])
-# Isolate before importing numpy, which starts threads: isolation does not reach threads that already run.
+# Both before importing numpy, which starts threads: neither a fork nor isolation reaches threads that already run.
+from carecontact.hosting.keeper import keep
+keep(options)
 from carecontact.hosting.isolation.fence import isolate
 isolate(options)
 from carecontact.hosting.child import main
@@ -81,6 +84,7 @@ class PolicyProcess(PolicyConversation):
         self._target = policy_target(setup.ref)
         self._setup = setup
         self._child: subprocess.Popen[bytes] | None = None
+        """The keeper of the policy's process, whose end is like that of the policy."""
         self._mark = new_mark()
         self._lifeline: int | None = None
         self._line: socket.socket | None = None
@@ -88,6 +92,7 @@ class PolicyProcess(PolicyConversation):
         self._stack: int | None = None
         self._output = b""
         self._reader: threading.Thread | None = None
+        self._watcher: threading.Thread | None = None
 
     @property
     def printed(self) -> str:
@@ -171,11 +176,9 @@ class PolicyProcess(PolicyConversation):
             for end in (report_write, lifeline_read, stack_write):
                 os.close(end)
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
-        self._reader.start()
-        # Where the kernel lacks this, what the process started goes at the end of the conversation.
-        with suppress(AttributeError, OSError):
-            ended = os.pidfd_open(self._child.pid)
-            threading.Thread(target=self._end_rest, args=(self._child, ended), daemon=True).start()
+        self._watcher = threading.Thread(target=self._kill_left, args=(self._child,), daemon=True)
+        for thread in (self._reader, self._watcher):
+            thread.start()
         options = _options(
             self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write,
             harness_port=self._line.getsockname()[1],
@@ -272,44 +275,42 @@ class PolicyProcess(PolicyConversation):
             return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
-    def _end_rest(self, child: subprocess.Popen[bytes], ended: int) -> None:
-        """Wait for the end of the process, then kill what it started: as long as that holds the connection, its death
-        would go unnoticed.
+    def _kill_left(self, child: subprocess.Popen[bytes]) -> None:
+        """Wait for the keeper's end, then do its work if it was killed: as long as a process that the policy started
+        holds the connection, the policy's death would go unnoticed.
         """
-        select.select([ended], [], [])
-        os.close(ended)
-        if child is self._child:
-            self._kill()
+        # A keeper that does its work ends by a signal only if the policy did.
+        if child.wait() < 0:
+            kill_marked(self._mark)
+            # This process has no other children: it adopted those that neither have the mark nor a living parent.
+            if adopts_orphans():
+                kill_children(but=())
 
     def _kill(self) -> None:
-        """Kill the process and everything that the policy started."""
-        child = self._child
-        if child is not None:
-            # First the marked processes, as long as their parents live, by which they are found; the process group
-            # is for systems without /proc.
-            kill_marked(self._mark, root=child.pid)
-            # Then this process has no other children. It adopted those that neither have the mark nor a living parent.
-            if adopts_orphans():
-                kill_children(but={child.pid})
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(child.pid, signal.SIGKILL)
+        """Let the keeper kill the process and everything that the policy started."""
+        if self._lifeline is not None:
+            os.close(self._lifeline)
+            self._lifeline = None
+        if self._child is None:
+            return
+        try:
+            self._child.wait(KEEPER_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+        if self._watcher is not None:
+            self._watcher.join(KEEPER_S)
 
     def _drop(self) -> None:
         self._kill()
-        child, ends = self._child, (self._lifeline, self._stack)
-        self._child = self._lifeline = self._stack = None
-        if child is not None:
-            # A process that traces it could keep it from ending for good.
-            with suppress(subprocess.TimeoutExpired):
-                child.wait(GRACE_S)
+        self._child = None
         if self._reader is not None:
             self._reader.join(GRACE_S)
         if self._folder is not None:
             self._folder.remove()
             self._folder = None
-        for end in ends:
-            if end is not None:
-                os.close(end)
+        if self._stack is not None:
+            os.close(self._stack)
+            self._stack = None
         if self._line is not None:
             self._line.close()
             self._line = None
@@ -328,7 +329,6 @@ def _options(
         "environment": list(setup.environment),
         "report_fd": report_fd,
         "lifeline_fd": lifeline_fd,
-        "parent": os.getpid(),
         "harness_port": harness_port,
         "readable": [os.path.abspath(place) for place in setup.readable],
         "writable": [os.path.abspath(place) for place in setup.writable],

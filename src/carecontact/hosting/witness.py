@@ -26,7 +26,7 @@ from carecontact.hosting.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
 """Files in the witness's folder: what it shall do, and what it was told."""
-CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "parent", "harness_port")
+CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "harness_port")
 CHANCE_VARIABLES = (MARK, "TMPDIR", *CACHES)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
 """Headers whose values the operating system or a random generator chooses, and no trial."""

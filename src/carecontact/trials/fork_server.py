@@ -18,9 +18,7 @@ from contextlib import suppress
 from importlib import import_module
 
 from carecontact.errors import DependencyError
-from carecontact.hosting.descendants import kill_children
-from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
-from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory, outlive_parent
+from carecontact.own_process import die_with_parent, hide_memory
 from carecontact.trials import worker
 
 NEWS = struct.Struct("=q")
@@ -36,35 +34,23 @@ NEEDED = (
 
 
 def main() -> None:
-    supervisor = os.getppid()
-    die_with_parent(supervisor)
+    die_with_parent(os.getppid())
     hide_memory()
-    adopt_orphans()
     line = socket.socket(fileno=os.dup(0))
     assert line.fileno() == TOLD_FD
     prepare()
-    # From here on, the end of the line says that the supervisor is gone, and there is something to clean up.
-    outlive_parent()
-    if os.getppid() != supervisor:
-        return
     alive: dict[int, tuple[int, int]] = {}
     while True:
         ready: list[int] = select.select([TOLD_FD, *alive], [], [])[0]
         for descriptor in ready:
             if descriptor in alive:
                 pid, news = alive.pop(descriptor)
-                status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-                with suppress(BrokenPipeError):  # The supervisor is gone, of which the line tells next.
-                    os.write(news, NEWS.pack(status))
+                os.write(news, NEWS.pack(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
                 os.close(news)
                 os.close(descriptor)
-                # What a policy started and its worker, which was killed, could not kill.
-                kill_children(but={pid for pid, _ in alive.values()})
                 continue
             message, given, _, _ = socket.recv_fds(line, 1, 4)
             if not message:
-                kill_children(but=())
-                remove_abandoned_folders()
                 return
             pid = os.fork()
             if pid == 0:

@@ -19,6 +19,7 @@ from carecontact.errors import RecordingError
 from carecontact.hosting.conversation import WAIT_REPORT_S, readable
 from carecontact.hosting.descendants import kill_marked, marks_of
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
+from carecontact.hosting.keeper import KEEPER_S
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, write_recording
 from carecontact.recording.schema import FAILED, KILLED, Recording
@@ -222,7 +223,8 @@ def kill_tree(process: Process) -> None:
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    kill_marked(marks_of(process.pid))
+    # The keeper of its policy kills them, too, and more of them.
+    kill_marked(marks_of(process.pid), grace_s=KEEPER_S)
     remove_abandoned_folders()
 
 

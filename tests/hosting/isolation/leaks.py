@@ -31,11 +31,11 @@ UNLIMITED = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
 SIZE = ctypes.c_size_t
 
 
-def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
+def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[], object]]:
     """``folder`` holds the policy's own folder, with the runs and the kept arrays in it, and a file of the user's
-    outside of it."""
+    outside of it. ``harness``: process id, of the harness itself or of the policy's keeper."""
     settled = folder / "policy" / "cache" / "settled"
-    run, harness = folder / "policy" / "runs" / "now", os.getppid()
+    run = folder / "policy" / "runs" / "now"
     recording, package = run / "T1-s000.h5", Path(sys.modules["carecontact"].__file__ or "").parent
     temporary = Path(tempfile.gettempdir())
     of_harness = Path(f"/proc/{harness}")
@@ -87,10 +87,9 @@ def tries(folder: Path, socket_name: str) -> dict[str, Callable[[], object]]:
     }
 
 
-def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
+def stays_open(folder: Path, harness: int) -> dict[str, Callable[[], object]]:
     """What Landlock cannot close, or not before Linux 7.1."""
-    run, harness = folder / "policy" / "runs" / "now", os.getppid()
-    recording = run / "T1-s000.h5"
+    recording = folder / "policy" / "runs" / "now" / "T1-s000.h5"
     return {
         "size of a recording whose name it guesses": recording.stat,
         "change the mode of a recording": lambda: recording.chmod(0o644),
@@ -108,12 +107,14 @@ def stays_open(folder: Path) -> dict[str, Callable[[], object]]:
 class Leaks:
     card = PolicyCard(name="leaks")
 
-    def __init__(self, *, socket_name: str) -> None:
-        self._folder, self._socket_name = Path(__file__).parents[1], socket_name
+    def __init__(self, *, socket_name: str, harness: int) -> None:
+        """``harness``: process id; 0: that of the keeper."""
+        folder, harness = Path(__file__).parents[1], harness or os.getppid()
+        self._attempts = {**tries(folder, socket_name, harness), **stays_open(folder, harness)}
 
     def reset(self, instruction: str) -> None:
         said: dict[str, str] = {}
-        for name, attempt in {**tries(self._folder, self._socket_name), **stays_open(self._folder)}.items():
+        for name, attempt in self._attempts.items():
             try:
                 attempt()
                 said[name] = "open"

@@ -59,11 +59,11 @@ def attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Try:
     (tmp_path / "outside" / "secret").write_text("secret")
     shutil.copy(leaks.__file__, folder / "leaks.py")
 
-    def run_it(**given: Any) -> dict[str, Any]:
+    def run_it(*, keeper: bool = False, **given: Any) -> dict[str, Any]:
         name = f"carecontact-test-{os.getpid()}"
         setup = PolicySetup(
             ref=PolicyRef.parse("leaks:Leaks"), search_path=(str(folder),),
-            arguments={"socket_name": name},
+            arguments={"socket_name": name, "harness": str(0 if keeper else os.getpid())},
             closed=tuple(str(folder / "runs" / run) for run in ("now", "earlier")), **given,
         )  # fmt: skip
         named = tmp_path / "outside" / "socket"
@@ -83,9 +83,10 @@ def attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Try:
 
 
 @needs_landlock
-def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(attempt: Try, tmp_path: Path) -> None:
-    told = attempt()
-    expected = set(leaks.tries(tmp_path, "")) - (SINCE_SCOPES if version() < 6 else set())
+@pytest.mark.parametrize("keeper", [False, True], ids=["harness", "keeper"])
+def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(attempt: Try, tmp_path: Path, keeper: bool) -> None:
+    told = attempt(keeper=keeper)
+    expected = set(leaks.tries(tmp_path, "", 0)) - (SINCE_SCOPES if version() < 6 else set())
     expected |= SINCE_RESOLVE if version() >= 9 else set()
     expected -= set() if can_filter_calls() else FILTERED
     assert {name for name, said in told["said"].items() if said == "open"} & expected == set()
@@ -98,10 +99,11 @@ def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(attempt: Try, tmp_pa
         assert {int(thread["CapEff"], 16) for thread in told["threads"]} == {2}
 
 
-def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path) -> None:
+@pytest.mark.parametrize("keeper", [False, True], ids=["harness", "keeper"])
+def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path, keeper: bool) -> None:
     """So that the test above can fail."""
-    told = attempt(isolated=False)
-    expected = set(leaks.tries(tmp_path, ""))
+    told = attempt(isolated=False, keeper=keeper)
+    expected = set(leaks.tries(tmp_path, "", 0))
     if os.geteuid() != 0:
         expected -= TRACING
     if not os.access(Path(carecontact.__file__).parent, os.W_OK):
@@ -114,6 +116,6 @@ def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path) -> No
 def test_what_stays_open(attempt: Try, tmp_path: Path) -> None:
     """docs/threat-model.md names it."""
     told = attempt()
-    expected = set(leaks.stays_open(tmp_path)) - (PRIORITY if os.geteuid() == 0 else set())
+    expected = set(leaks.stays_open(tmp_path, 0)) - (PRIORITY if os.geteuid() == 0 else set())
     expected -= SINCE_RESOLVE if version() >= 9 else set()
     assert {name for name in expected if told["said"][name] != "open"} == set()

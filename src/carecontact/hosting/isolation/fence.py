@@ -13,7 +13,7 @@ from carecontact.hosting.isolation.allowlist import rights
 from carecontact.hosting.isolation.landlock import SCOPES_SINCE, restrict, version
 from carecontact.hosting.isolation.system_calls import can_filter_calls, filter_calls
 from carecontact.hosting.isolation.unlisted import UnlistedFolders
-from carecontact.own_process import die_with_parent, drop_capabilities
+from carecontact.own_process import drop_capabilities
 
 if TYPE_CHECKING:
     from carecontact.hosting.child import Options
@@ -52,11 +52,10 @@ def available() -> str:
 
 
 def isolate(options: Options) -> None:
-    """Give up all rights that a policy does not need, and arrange that this process ends with its parent.
+    """Give up all rights that a policy does not need.
 
     Afterwards, ``options["isolation"]`` describes the level and what the user opened, in the words of recordings.
     """
-    die_with_parent(options["parent"])
     options["isolation"] = _enclose(options) if options["isolated"] else "none: switched off"
 
 

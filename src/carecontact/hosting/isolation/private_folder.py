@@ -53,8 +53,13 @@ def private_folder() -> PrivateFolder:
 def remove_abandoned_folders() -> None:
     """Remove the folders of policies whose harness was killed."""
     for path in _place().glob(f"{PREFIX}*"):
-        with suppress(OSError):
-            PrivateFolder(path=path, lock=_locked(path)).remove()
+        remove_if_abandoned(path)
+
+
+def remove_if_abandoned(path: Path) -> None:
+    """Remove the folder of a policy if its harness is gone."""
+    with suppress(OSError):
+        PrivateFolder(path=path, lock=_locked(path)).remove()
 
 
 def _place() -> Path:

@@ -1,0 +1,122 @@
+"""Nothing that a policy starts outlives it or the harness, whatever it does, and whoever the harness is."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import carecontact
+from carecontact.errors import PolicyError
+from carecontact.hosting.process import PolicyProcess
+from carecontact.hosting.setup import PolicySetup
+from carecontact.own_process import adopts_orphans
+from tests.hosting.conftest import PREAMBLE
+from tests.policies.synthetic import SESSION
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux lets a process adopt orphans")
+
+POLICY = """
+class P(Base):
+    def __init__(self, *, then: str = "lives"):
+        # In a session of its own, without the variables that the policy was given, by a shell that ends.
+        told = os.path.join(os.path.dirname(__file__), "told")
+        os.system("env -i setsid sh -c 'echo $$ >> %s; exec sleep 4321' & exit 0" % told)
+        while not (os.path.exists(told) and open(told).read().endswith("\\n")):
+            time.sleep(0.01)
+        if then == "dies":
+            os._exit(3)
+        if then == "raises":
+            raise ValueError(then)
+        if then == "hangs":
+            time.sleep(60)
+    def reset(self, instruction):
+        os.kill(os.getpid(), 11)
+"""
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> tuple[Path, Path]:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text(PREAMBLE + POLICY)
+    return tmp_path / "one", tmp_path / "two"
+
+
+def process(folder: Path, *, deadline_s: float = 20.0, then: str = "lives") -> PolicyProcess:
+    made = PolicySetup.of("mine:P", search_path=[str(folder)])
+    setup = PolicySetup(
+        ref=made.ref, search_path=made.search_path, arguments={"then": then}, writable=(str(folder),), isolated=True
+    )
+    return PolicyProcess(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
+
+
+def alive(folder: Path) -> bool:
+    """Whether what the policy of this folder started lives."""
+    try:
+        return Path(f"/proc/{int((folder / 'told').read_text())}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def soon(true: Callable[[], bool], *, within_s: float = 1.0) -> bool:
+    until = time.monotonic() + within_s
+    while not true() and time.monotonic() < until:
+        time.sleep(0.02)
+    return true()
+
+
+def test_each_policy_of_one_harness_takes_its_own_along(folders: tuple[Path, Path]) -> None:
+    assert not adopts_orphans(), "this process finds nothing that the keeper leaves"
+    one, two = map(process, folders)
+    one.start()
+    two.start()
+    assert all(map(alive, folders))
+    one.close()
+    assert [alive(folder) for folder in folders] == [False, True]
+    with pytest.raises(PolicyError, match="killed by SIGSEGV"):
+        two.reset("touch", SESSION)
+    assert not alive(folders[1])
+
+
+@pytest.mark.parametrize(
+    ("then", "says"), [("dies", "exit code 3"), ("raises", "ValueError: raises"), ("hangs", "not ready within 5 s")]
+)
+def test_a_policy_that_fails_in_its_constructor_takes_them_along(
+    folders: tuple[Path, Path], then: str, says: str
+) -> None:
+    with pytest.raises(PolicyError, match=says):
+        process(folders[0], then=then, deadline_s=5.0 if then == "hangs" else 20.0).start()
+    assert (folders[0] / "told").exists()
+    assert not alive(folders[0])
+
+
+@pytest.mark.parametrize("number", ["9", "15"])
+def test_they_go_with_a_harness_that_is_killed_and_so_does_the_policys_folder(
+    folders: tuple[Path, Path], tmp_path: Path, number: str
+) -> None:
+    (tmp_path / "temporary").mkdir()
+    code = (
+        "import os, sys, time; sys.path[:0] = sys.argv[1:3]\n"
+        "from tests.hosting.test_keeper import Path, process\n"
+        "made = process(Path(sys.argv[3])); made.start()\n"
+        "os.kill(os.getpid(), int(sys.argv[4]))"
+    )
+    places = [str(Path(carecontact.__file__).parents[1]), str(Path(__file__).parents[2])]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *places, str(folders[0]), number],
+        env={
+            **os.environ,
+            "TMPDIR": str(tmp_path / "temporary"),
+        },
+        check=False,
+    )
+    assert done.returncode == -int(number)
+    assert (folders[0] / "told").exists()
+    assert soon(lambda: not alive(folders[0]))
+    assert soon(lambda: not list((tmp_path / "temporary").iterdir()))
