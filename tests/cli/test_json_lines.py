@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,15 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_the_shipped_schemas_are_those_of_the_models() -> None:
     assert {path.name: path.read_text() for path in FOLDER.iterdir()} == written(), "run tools/json_schemas.py"
     assert len({name_of(answer) for answer in ANSWERS}) == len(ANSWERS)
+
+
+def test_a_name_that_is_not_utf8_is_escaped(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in "ab":
+        (runs / name / os.fsdecode(b"\xff.h5")).write_bytes(b"")
+        write_scores(runs / name, score_run(runs / name))
+    assert main(["compare", "a", "b", "--json"]) == 0
+    (answer,) = lines(capsys)
+    assert "\\udcff.h5" in json.dumps(answer).replace("\\\\", "\\")
 
 
 def test_list(capsys: pytest.CaptureFixture[str]) -> None:

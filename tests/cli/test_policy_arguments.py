@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from carecontact.cli import main
+from carecontact.cli.groups import PolicyGroup
+from carecontact.cli.policy import check_policy, policy_setup
 from carecontact.policies.registry import POLICIES
 from carecontact.recording import read_recording
 from carecontact.trials.request import TrialRequest
@@ -42,7 +45,7 @@ def test_they_stand_in_the_recording_the_manifest_and_the_request(
 ) -> None:
     given = ["--policy-arg", "checkpoint=c.pt", "--policy-arg=steps=4", "--policy-env", "TOKEN"]
     assert main([*RUN, *given]) == 0
-    assert capsys.readouterr().out.startswith("mine:Mine checkpoint=c.pt steps=4: 1 trial")
+    assert "mine:Mine checkpoint=c.pt steps=4: 1 trial" in capsys.readouterr().out
     spec = read_recording("r/T1-s000.h5").header.spec
     assert (spec.policy_arguments, spec.policy_environment) == ({"checkpoint": "c.pt", "steps": "4"}, ("TOKEN",))
     identity = json.loads(Path("r/manifest.json").read_text())["identity"]
@@ -91,6 +94,13 @@ def test_a_wrong_option_is_one_line_before_any_trial(
     assert says in error
     assert error.count("\n") == 1
     assert not Path("r").exists()
+
+
+@pytest.mark.usefixtures("mine")
+def test_a_policy_without_isolation_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    setup = replace(policy_setup("mine:Mine", PolicyGroup(policy_arg=("checkpoint=c.pt",))), isolated=False)
+    assert check_policy(setup, deadline_s=60.0) is not None
+    assert capsys.readouterr().out.startswith("warning: mine:Mine runs without isolation: switched off; run policies")
 
 
 def test_an_argument_of_the_audit_is_for_one_policy(

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import hashlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -601,14 +600,3 @@ def _soon(condition: Callable[[], bool]) -> bool:
             return True
         time.sleep(0.05)
     return False
-
-
-def test_a_kernel_without_pidfd_open_starts_policies_too(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(pid: int) -> int:
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(os, "pidfd_open", absent, raising=False)
-    process = launch("class P(Base): ...")
-    process.start()
-    process.reset("touch", SESSION)
-    assert len(process.act(synthetic_observation()).actions) == 1

@@ -105,8 +105,8 @@ def test_a_temporary_disk_without_space_is_nobodys_failure(tmp_path: Path) -> No
     assert done.returncode == 2, done.stderr
     assert done.stderr == (
         "error: the run stops with 0 of 2 trials done: no temporary folder can be made for the policy's process: "
-        "[Errno 28] No space left on device: '/full'; free some space, or name a folder with space in the variable "
-        "TMPDIR, then give the same command again to continue\n"
+        "[Errno 28] No space left on device: '/full'; mend that, or name another folder in the variable TMPDIR, then "
+        "give the same command again to continue\n"
     )
     assert [path.name for path in out.iterdir()] == ["manifest.json"]
     assert subprocess.run(command, capture_output=True).returncode == 0

@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,7 +22,7 @@ import pytest
 from carecontact import __version__
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, StorageError
 from carecontact.hosting.descendants import MARK
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
@@ -437,3 +438,14 @@ def test_interrupt_kills_the_workers_and_keeps_what_is_finished(bench: Bench) ->
     assert not any(alive(pid) for pid in pids)
     assert {path.name for path in bench.out.iterdir()} == {"T1-s000.h5", "manifest.json"}
     assert bench.recording("T1-s000").header.ended == "done"
+
+
+def test_a_folder_that_vanishes_is_named(bench: Bench) -> None:
+    class Vanishing(list[TrialEvent]):
+        def append(self, event: TrialEvent) -> None:
+            if event.kind == "finished":
+                shutil.rmtree(bench.out)
+
+    bench.events = Vanishing()
+    with pytest.raises(StorageError, match=rf"^{bench.out}: somebody removed or moved this folder while its trials"):
+        bench.run(specs(3), jobs=1)

@@ -41,7 +41,7 @@ class Check:
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
 
-    after_interrupt: ClassVar[str] = "; the policy has ended"
+    after_interrupt: ClassVar[str] = "; the policy ends, too"
 
     def __call__(self) -> int:
         """Return 1 if a run cannot work. Raises ConfigError for what does not exist."""

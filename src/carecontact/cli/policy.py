@@ -84,7 +84,7 @@ def _secret(ref: PolicyRef) -> str:
 
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     """Start the policy once, just as a trial does, and return its card; None for a shipped one that is given nothing,
-    and for a privileged one, which no process but a trial's own may start.
+    and for a privileged one, which no process but a trial's own may start. Print a warning if it is not isolated.
 
     Raises UnknownNameError, or ConfigError that says in its first line why a policy does not start or a server shows no
     card, followed by the end of the policy's traceback and output.
@@ -103,7 +103,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     conversation.on_wait, conversation.patient = lambda line: print(line, flush=True), True
     try:
         with conversation:
-            return conversation.start()
+            card = conversation.start()
     except PolicyError as error:
         if error.kind == "argument":
             raise ConfigError(reason(str(error))) from None
@@ -119,6 +119,14 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
                 ]
             )
         ) from None
+    level, _, why = (conversation.isolation or "").partition(": ")
+    if level == "none":
+        print(
+            f"warning: {setup.ref} runs without isolation: {why}; run policies that you do not trust on another host "
+            "(docs/threat-model.md)",
+            flush=True,
+        )
+    return card
 
 
 def arguments_text(setup: PolicySetup) -> str:

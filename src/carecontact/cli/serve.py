@@ -26,7 +26,7 @@ class Serve:
     at_once: int | None = None
     """Number of trials that run at once; further trials wait. Default: one per core."""
 
-    after_interrupt: ClassVar[str] = "; all policy processes have ended"
+    after_interrupt: ClassVar[str] = "; all policy processes end, too"
 
     def __call__(self) -> int:
         """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""

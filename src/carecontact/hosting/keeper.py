@@ -92,4 +92,4 @@ def _end_as(status: int) -> NoReturn:
         with suppress(OSError, ValueError):
             signal.signal(-status, signal.SIG_DFL)
         os.kill(os.getpid(), -status)
-    os._exit(max(status, 1) if status else 0)
+    os._exit(status if status >= 0 else 1)

@@ -147,8 +147,8 @@ class PolicyProcess(PolicyConversation):
             self._folder = private_folder()
         except OSError as error:
             raise StorageError(
-                f"no temporary folder can be made for the policy's process: {error}; free some space, or name a folder "
-                "with space in the variable TMPDIR, then give the same command again"
+                f"no temporary folder can be made for the policy's process: {error}; mend that, or name another folder "
+                "in the variable TMPDIR, then give the same command again"
             ) from None
         self._line = socket.socket()
         self._line.bind(("127.0.0.1", 0))

@@ -120,7 +120,8 @@ def open_run(
         whole: ids of all trials of the run of which ``specs`` are a part.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
-    written to, and for an engine that cannot be reached; DependencyError for one that is not installed.
+    written to, and for an engine that cannot be reached; DependencyError for one that is not installed; StorageError if
+    the folder vanishes.
     """
     check_pace(pace_s)
     if not specs:
@@ -146,6 +147,12 @@ def open_run(
             carrying_out = engine_of(engine, conditions, gpus=gpus)
             try:
                 yield Run(specs, found, carrying_out, out, on_event)
+            except FileNotFoundError:
+                if work.is_dir():
+                    raise
+                raise StorageError(
+                    f"{out}: somebody removed or moved this folder while its trials ran; give the same command again"
+                ) from None
             finally:
                 carrying_out.kill_all()
                 if own is not None:

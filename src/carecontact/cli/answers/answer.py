@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core import core_schema
+from pydantic_core import PydanticSerializationError, core_schema, to_json
 
 
 class Answer(BaseModel):
@@ -17,8 +17,23 @@ class Answer(BaseModel):
     )
 
     def line(self) -> str:
-        """Return the answer as JSON without a line break. A number that is not finite becomes null."""
-        return self.model_dump_json()
+        """Return the answer as JSON without a line break. A number that is not finite becomes null; of a file's name,
+        what is not UTF-8 becomes an escape such as ``\\udcff``.
+        """
+        try:
+            return self.model_dump_json()
+        except PydanticSerializationError:
+            return to_json(_encodable(self.model_dump()), inf_nan_mode="null").decode()
+
+
+def _encodable(found: object) -> object:
+    if isinstance(found, str):
+        return found.encode(errors="backslashreplace").decode()
+    if isinstance(found, dict):
+        return {_encodable(name): _encodable(value) for name, value in cast("dict[str, object]", found).items()}
+    if isinstance(found, list | tuple):
+        return [_encodable(value) for value in cast("list[object]", found)]
+    return found
 
 
 class Part(BaseModel):
