@@ -16,12 +16,14 @@ from carecontact.errors import PolicyError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 from carecontact.own_process import adopts_orphans
-from tests.hosting.conftest import PREAMBLE
+from tests.hosting.conftest import CHAIN, PREAMBLE
 from tests.policies.synthetic import SESSION
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux lets a process adopt orphans")
 
-POLICY = """
+POLICY = (
+    CHAIN
+    + """
 class P(Base):
     def __init__(self, *, then: str = "lives"):
         # In a session of its own, without the variables that the policy was given, by a shell that ends.
@@ -37,7 +39,18 @@ class P(Base):
             time.sleep(60)
     def reset(self, instruction):
         os.kill(os.getpid(), 11)
+    def act(self, observation):
+        return Action(done=True)
+
+class Chains(P):
+    def reset(self, instruction):
+        beat = os.path.join(os.path.dirname(__file__), "beat")
+        for n in range(6):
+            chain(beat)
+        while not os.path.exists(beat):
+            time.sleep(0.01)
 """
+)
 
 
 @pytest.fixture
@@ -48,10 +61,12 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "one", tmp_path / "two"
 
 
-def process(folder: Path, *, deadline_s: float = 20.0, then: str = "lives") -> PolicyProcess:
-    made = PolicySetup.of("mine:P", search_path=[str(folder)])
+def process(
+    folder: Path, *, deadline_s: float = 20.0, then: str = "lives", name: str = "P", isolated: bool = True
+) -> PolicyProcess:
+    made = PolicySetup.of(f"mine:{name}", search_path=[str(folder)])
     setup = PolicySetup(
-        ref=made.ref, search_path=made.search_path, arguments={"then": then}, writable=(str(folder),), isolated=True
+        ref=made.ref, search_path=made.search_path, arguments={"then": then}, writable=(str(folder),), isolated=isolated
     )
     return PolicyProcess(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
 
@@ -60,7 +75,7 @@ def alive(folder: Path) -> bool:
     """Whether what the policy of this folder started lives."""
     try:
         return Path(f"/proc/{int((folder / 'told').read_text())}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return False
 
 
@@ -94,6 +109,18 @@ def test_a_policy_that_fails_in_its_constructor_takes_them_along(
         process(folders[0], then=then, deadline_s=5.0 if then == "hangs" else 20.0).start()
     assert (folders[0] / "told").exists()
     assert not alive(folders[0])
+
+
+@pytest.mark.parametrize("isolated", [True, False])
+def test_processes_that_fork_and_end_at_once_do_not_outrun_it(folders: tuple[Path, Path], isolated: bool) -> None:
+    made = process(folders[0], name="Chains", isolated=isolated)
+    made.start()
+    made.reset("touch", SESSION)
+    made.close()
+    beat = folders[0] / "beat"
+    last = beat.read_bytes()
+    time.sleep(0.3)
+    assert beat.read_bytes() == last
 
 
 @pytest.mark.parametrize("number", ["9", "15"])

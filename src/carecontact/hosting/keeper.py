@@ -11,12 +11,12 @@ import os
 import select
 import signal
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from carecontact.hosting.descendants import PATIENCE_S, kill_children
+from carecontact.hosting.descendants import PATIENCE_S, kill_children, reap
+from carecontact.hosting.isolation.landlock import confine_signals
 from carecontact.hosting.isolation.private_folder import remove_if_abandoned
 from carecontact.hosting.stack import ASK
 from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory
@@ -37,6 +37,7 @@ def keep(options: Options) -> None:
     """
     keeper, harness = os.getpid(), os.getppid()
     adopt_orphans()
+    alone = options["isolated"] and confine_signals() and _refused(harness)
     policy = os.fork()
     if policy == 0:
         os.close(options["lifeline_fd"])
@@ -46,48 +47,71 @@ def keep(options: Options) -> None:
     hide_memory()
     for descriptor in (options["report_fd"], options["stack_fd"]):
         os.close(descriptor)
+    statuses: dict[int, int | None] = {policy: None}
     try:
-        status = _watch(policy, options["lifeline_fd"])
+        _wait(policy, options["lifeline_fd"], statuses)
+        _kill_all(policy, statuses, alone=alone)
         if os.getppid() != harness:
             remove_if_abandoned(Path(os.environ["TMPDIR"]))
     except BaseException:
-        os.kill(policy, signal.SIGKILL)
+        _pass_on(signal.SIGKILL, policy, statuses)
         raise
-    _end_as(status)
+    _end_as(statuses[policy])
 
 
-def _watch(policy: int, lifeline: int) -> int:
-    """Return the policy's exit status, as ``subprocess.Popen.returncode``, when nothing is left of what it started."""
+def _refused(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except OSError as error:
+        return isinstance(error, PermissionError)
+    return False
+
+
+def _wait(policy: int, lifeline: int, statuses: dict[int, int | None]) -> None:
+    """Wait for the end of the policy's process or of the lifeline."""
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    signal.signal(ASK, lambda *_: os.kill(policy, ASK))
+    signal.signal(ASK, lambda *_: _pass_on(ASK, policy, statuses))
     for number in UNMOVED_BY:
         signal.signal(number, signal.SIG_IGN)
-    ended: dict[int, int] = {}
-    while policy not in ended and lifeline not in select.select([lifeline, woken], [], [])[0]:
-        os.read(woken, 4096)
-        _reap(ended)
+    more = False
+    while statuses[policy] is None:
+        ready = select.select([lifeline, woken], [], [], 0 if more else None)[0]
+        if lifeline in ready:
+            return
+        if ready:
+            os.read(woken, 4096)
+        with suppress(ChildProcessError):
+            more = reap(statuses)
+
+
+def _pass_on(number: int, policy: int, statuses: dict[int, int | None]) -> None:
+    # The id of a process that has ended may be that of another one by now.
+    if statuses[policy] is None:
+        with suppress(ProcessLookupError):
+            os.kill(policy, number)
+
+
+def _kill_all(policy: int, statuses: dict[int, int | None], *, alone: bool) -> None:
+    """Kill what is left of what the policy started, itself included.
+
+    ``alone``: whether the kernel lets this process signal nothing but that.
+    """
     if sys.platform != "linux":  # Nothing there tells whose children they are.
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(policy, signal.SIGKILL)
-    until = time.monotonic() + PATIENCE_S
-    while _reap(ended) and time.monotonic() < until:
-        kill_children(but=())
-    return ended.get(policy, -signal.SIGKILL)
+    if alone:
+        # The kernel starts no process while it sends this, so that none escapes by forking, however many fork.
+        with suppress(ProcessLookupError, PermissionError):
+            os.kill(-1, signal.SIGKILL)
+    kill_children(statuses)
 
 
-def _reap(ended: dict[int, int]) -> bool:
-    """Add the ids and exit statuses of the children that have ended; return whether any child is left."""
-    with suppress(ChildProcessError):
-        while (found := os.waitpid(-1, os.WNOHANG))[0]:
-            ended[found[0]] = os.waitstatus_to_exitcode(found[1])
-        return True
-    return False
-
-
-def _end_as(status: int) -> NoReturn:
+def _end_as(status: int | None) -> NoReturn:
+    if status is None:
+        status = -signal.SIGKILL
     if status < 0:
         with suppress(OSError, ValueError):
             signal.signal(-status, signal.SIG_DFL)

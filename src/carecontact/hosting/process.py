@@ -284,7 +284,7 @@ class PolicyProcess(PolicyConversation):
             kill_marked(self._mark)
             # This process has no other children: it adopted those that neither have the mark nor a living parent.
             if adopts_orphans():
-                kill_children(but=())
+                kill_children({})
 
     def _kill(self) -> None:
         """Let the keeper kill the process and everything that the policy started."""
