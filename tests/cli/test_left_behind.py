@@ -16,6 +16,7 @@ import pytest
 from carecontact.own_process import adopts_orphans
 from tests.cli.test_stopping import _soon
 from tests.hosting.conftest import PREAMBLE
+from tests.processes import described
 
 POLICY = """
 import ctypes, subprocess
@@ -143,7 +144,7 @@ def test_they_end_with_whoever_is_killed(tmp_path: Path, whom: str) -> None:
         assert len(mine) == 4
         assert all(map(_alive, mine))
         os.kill(pids[whom], signal.SIGKILL)
-        assert _soon(lambda: not any(map(_alive, mine)), within_s=1)
+        assert _soon(lambda: not any(map(_alive, mine)), within_s=1), [described(pid) for pid in mine if _alive(pid)]
         if whom == "command":
             assert _soon(lambda: not list((tmp_path / "temporary").iterdir()), within_s=1)
     finally:

@@ -35,6 +35,7 @@ def python(code: str, *arguments: str) -> int:
 def test_processes_that_fork_and_end_at_once_are_killed(tmp_path: Path, lists: str) -> None:
     """``lists``: whether the kernel lists the children of a process; where it does not, /proc is searched."""
     beat = tmp_path / "beat"
+    beat.touch()
     pause_s = "0" if lists == "children" else "0.02"
     assert (
         python(

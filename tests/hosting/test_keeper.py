@@ -47,7 +47,7 @@ class Chains(P):
         beat = os.path.join(os.path.dirname(__file__), "beat")
         for n in range(6):
             chain(beat)
-        while not os.path.exists(beat):
+        while not (os.path.exists(beat) and os.path.getsize(beat)):
             time.sleep(0.01)
 """
 )

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import carecontact
 from carecontact.contract.trial import TrialSpec
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
@@ -20,6 +21,7 @@ from carecontact.recording import canonical_hash, read_recording
 from carecontact.trials.launch import ForkedProcess, Launcher, Process, is_stopped
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.told import Told
+from tests.processes import described
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="nothing is forked on this system")
 PATIENCE_S = 60.0
@@ -35,9 +37,7 @@ def launcher() -> Iterator[Launcher]:
 def start(launcher: Launcher, out: Path, *, policy: str = "nowhere:Nothing", seed: int = 0) -> tuple[Process, Told]:
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=seed, policy=policy)
     pipe, told_fd = os.pipe()
-    request = TrialRequest(
-        spec=spec, policy=PolicySetup.of(policy), out=out, told_fd=told_fd, supervisor=os.getpid()
-    )  # fmt: skip
+    request = TrialRequest(spec=spec, policy=PolicySetup.of(policy), out=out, told_fd=told_fd)
     process = launcher.start(request, log=out.with_suffix(".log"))
     os.close(told_fd)
     return process, Told(pipe)
@@ -57,7 +57,7 @@ def stat(pid: int) -> list[str]:
 def gone(pid: int) -> bool:
     try:
         return stat(pid)[0] in "ZX"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return True
 
 
@@ -104,6 +104,28 @@ def test_a_forked_worker_has_no_descriptor_of_the_server_or_of_another(launcher:
     for process in (one, two):
         os.killpg(process.pid, signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("forks", [True, False], ids=["the fork server", "a worker"])
+def test_what_has_hardly_started_ends_with_a_command_that_is_killed(tmp_path: Path, forks: bool) -> None:
+    code = (
+        "import sys; sys.path[:0] = sys.argv[1:3]\n"
+        "from tests.trials.test_launch import Launcher, Path, start\n"
+        "start(Launcher(forks=sys.argv[4] == 'True'), Path(sys.argv[3])); sys.stdin.read()"
+    )
+    places = [str(Path(carecontact.__file__).parents[1]), str(Path(__file__).parents[2])]
+    command = subprocess.Popen(
+        [sys.executable, "-c", code, *places, str(tmp_path / "trial.h5"), str(forks)], stdin=subprocess.PIPE
+    )
+    started = list[int]()
+    while not started:
+        assert command.poll() is None
+        found = [int(folder.name) for folder in Path("/proc").glob("[0-9]*")]
+        started = [pid for pid in found if not gone(pid) and int(stat(pid)[1]) == command.pid]
+    command.kill()
+    command.wait()
+    time.sleep(1.0)  # What it imports takes longer.
+    assert gone(started[0]), described(started[0])
 
 
 def test_a_killed_worker_and_a_stopped_one_are_told(launcher: Launcher, tmp_path: Path) -> None:

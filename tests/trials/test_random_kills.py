@@ -19,6 +19,7 @@ import pytest
 
 from carecontact.recording import read_recording
 from carecontact.recording.reader import read_verified
+from tests.processes import described
 
 TRIALS, KILLS, HANGUPS = 40, 50, 5
 """Even: half of the trials are of one task, half of another."""
@@ -154,7 +155,7 @@ class Attack:
                 self.supervisors += victim[0] == pid
         terminal.close()
         time.sleep(GONE_S)
-        assert not [process for process in seen if alive(process)]
+        assert not [described(process[0]) for process in seen if alive(process)]
         assert not started_in(self.temporary)
         self.look()
         return terminal.running.returncode

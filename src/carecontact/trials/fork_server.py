@@ -1,5 +1,5 @@
 """A process that has imported what a trial needs, and forks it for each worker: ``python -m
-carecontact.trials.fork_server`` with a socket to the supervisor as standard input.
+carecontact.trials.fork_server SUPERVISOR`` with a socket to the process SUPERVISOR as standard input.
 
 It never learns what a trial is, so that a worker inherits nothing of another: it gets four file descriptors for each
 and hands them on. It has one thread and renders nothing, so that a fork leaves nothing half done.
@@ -34,7 +34,8 @@ NEEDED = (
 
 
 def main() -> None:
-    die_with_parent(os.getppid())
+    die_with_parent(int(sys.argv[1]))
+    own = os.getpid()
     hide_memory()
     line = socket.socket(fileno=os.dup(0))
     assert line.fileno() == TOLD_FD
@@ -58,7 +59,7 @@ def main() -> None:
                 for mine, news in alive.items():
                     os.close(mine)
                     os.close(news[1])
-                os._exit(work(given))
+                os._exit(work(given, server=own))
             # The supervisor kills a worker together with what that started.
             os.setpgid(pid, pid)
             for other in given[:-1]:
@@ -88,16 +89,16 @@ def prepare() -> None:
     gc.freeze()
 
 
-def work(given: list[int]) -> int:
+def work(given: list[int], *, server: int) -> int:
     """Run a worker with the descriptors of its standard input, its output, what it tells and its news; returns its exit
-    status."""
+    status. ``server``: the id of the process that forked it."""
     requests, output, told, news = given
     for source, target in ((requests, 0), (output, 1), (output, 2), (told, TOLD_FD)):
         os.dup2(source, target, inheritable=target < TOLD_FD)
     for descriptor in (requests, output, told, news):
         os.close(descriptor)
     try:
-        return worker.main()
+        return worker.main(server)
     except BaseException:
         traceback.print_exc()
         return 1

@@ -45,7 +45,8 @@ class Launcher:
     def __init__(self, command: Sequence[str] = WORKER_COMMAND, *, forks: bool = True) -> None:
         """
         Args:
-            command: of a worker as a program; any other than WORKER_COMMAND is never forked.
+            command: of a worker as a program, to which the id of its parent is added; any other than WORKER_COMMAND is
+                never forked.
             forks: whether to fork, where the system can.
         """
         self.command = tuple(command)
@@ -77,7 +78,7 @@ class Launcher:
         assert request.told_fd is not None
         with log.open("wb") as output:
             process = subprocess.Popen(
-                self.command, stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT,
+                (*self.command, str(os.getpid())), stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT,
                 env=_environment(), pass_fds=(request.told_fd,), start_new_session=True,
             )  # fmt: skip
         assert process.stdin is not None
@@ -103,7 +104,7 @@ class Launcher:
                 os.close(theirs)
                 os.close(reports)
             process = ForkedProcess(server, news)
-            own = request.model_copy(update={"told_fd": TOLD_FD, "supervisor": server.pid})
+            own = request.model_copy(update={"told_fd": TOLD_FD})
             with suppress(BrokenPipeError):
                 stdin.write(own.model_dump_json().encode())
         return process
@@ -113,8 +114,8 @@ class Launcher:
             self._line, far = socket.socketpair()
             with far:
                 self._server = subprocess.Popen(
-                    SERVER_COMMAND, stdin=far.fileno(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                    env=_environment(), start_new_session=True,
+                    (*SERVER_COMMAND, str(os.getpid())), stdin=far.fileno(), stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL, env=_environment(), start_new_session=True,
                 )  # fmt: skip
         return self._server, self._line
 

@@ -30,8 +30,6 @@ class TrialRequest(BaseModel):
     """Wall time [s] for each control period, as the policy sees it."""
     told_fd: int | None = None
     """File descriptor to which the worker tells when its policy runs and what it answers (``trials.told``)."""
-    supervisor: int | None = None
-    """Process id of whoever started the worker, which ends with it."""
 
     @model_validator(mode="after")
     def _one_policy(self) -> Self:

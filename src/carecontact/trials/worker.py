@@ -1,4 +1,5 @@
-"""One trial in its own process: ``python -m carecontact.trials.worker`` with a ``TrialRequest`` on standard input.
+"""One trial in its own process: ``python -m carecontact.trials.worker [PARENT]`` with a ``TrialRequest`` on standard
+input. It ends with the process PARENT, which started it.
 
 The worker tells its supervisor when a local policy runs and what it answered (``trials.told``). Exit status 0 means
 that the recording was written, whatever happened to the trial, or that UNREACHED says why the trial did not begin;
@@ -51,9 +52,9 @@ LACKING = 69
 """Exit status: EX_UNAVAILABLE of sysexits.h. A status, because a policy of this machine could write the file."""
 
 
-def main() -> int:
-    # Before the imports below, which take half a second; the request then tells whether it was too late even here.
-    die_with_parent(os.getppid())
+def main(parent: int) -> int:
+    # Before the imports below, which take half a second.
+    die_with_parent(parent)
     os.environ.update(SINGLE_THREAD)
     os.environ.update({name: value for name, value in WITHOUT_WINDOWS.items() if name not in os.environ})
     hide_memory()
@@ -79,8 +80,6 @@ def _run() -> int:
     from carecontact.trials.told import ANSWERED, POLICY_GONE, POLICY_RUNS
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
-    if request.supervisor is not None:
-        die_with_parent(request.supervisor)
 
     def tell(said: bytes) -> None:
         if request.told_fd is not None:
@@ -128,4 +127,4 @@ def _run() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(int(sys.argv[1]) if sys.argv[1:] else os.getppid()))

@@ -84,7 +84,7 @@ class Workers:
         closed = tuple(dict.fromkeys((*self.policy.closed, *runs_beside(self.out))))
         request = TrialRequest(
             spec=spec, policy=replace(self.policy, closed=closed), out=partial.resolve(), weights=self.weights,
-            told_fd=told_fd, supervisor=os.getpid(), pace_s=self.pace_s,
+            told_fd=told_fd, pace_s=self.pace_s,
         )  # fmt: skip
         try:
             process = self.launcher.start(request, log=output)
