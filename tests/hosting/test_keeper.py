@@ -18,6 +18,7 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.own_process import adopts_orphans
 from tests.hosting.conftest import CHAIN, PREAMBLE
 from tests.policies.synthetic import SESSION
+from tests.processes import described
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux lets a process adopt orphans")
 
@@ -145,5 +146,5 @@ def test_they_go_with_a_harness_that_is_killed_and_so_does_the_policys_folder(
     )
     assert done.returncode == -int(number)
     assert (folders[0] / "told").exists()
-    assert soon(lambda: not alive(folders[0]))
+    assert soon(lambda: not alive(folders[0])), described(int((folders[0] / "told").read_text()))
     assert soon(lambda: not list((tmp_path / "temporary").iterdir()))
