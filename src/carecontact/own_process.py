@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-SET_PARENT_DEATH_SIGNAL, SET_DUMPABLE, SET_CHILD_SUBREAPER, GET_CHILD_SUBREAPER = 1, 4, 36, 37
+SET_PARENT_DEATH_SIGNAL, SET_DUMPABLE, SET_CHILD_SUBREAPER = 1, 4, 36
 """linux/prctl.h"""
 CAPSET = {"x86_64": 126, "aarch64": 91}
 """Machine -> number of the system call."""
@@ -35,14 +35,6 @@ def adopt_orphans() -> None:
     """Become the parent of every descendant whose own parent ends, so that it can be found and killed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-
-
-def adopts_orphans() -> bool:
-    """Whether this process called ``adopt_orphans`` where the system can do that."""
-    found = ctypes.c_int(0)
-    return sys.platform == "linux" and (
-        ctypes.CDLL(None).prctl(GET_CHILD_SUBREAPER, ctypes.byref(found), 0, 0, 0) == 0 and found.value == 1
-    )
 
 
 def hide_memory() -> None:

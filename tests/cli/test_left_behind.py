@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from carecontact.own_process import adopts_orphans
+from carecontact.hosting.isolation.system_calls import can_filter_calls
 from tests.cli.test_stopping import _soon
 from tests.hosting.conftest import PREAMBLE
 from tests.processes import described
@@ -153,8 +153,24 @@ def test_they_end_with_whoever_is_killed(tmp_path: Path, whom: str) -> None:
         time.sleep(1.0)
 
 
-def test_adopting_is_known() -> None:
-    assert not adopts_orphans()
-    code = "from carecontact.own_process import *; adopt_orphans(); print(adopts_orphans())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str(sys.platform == "linux")
+@pytest.mark.skipif(
+    sys.platform != "linux" or not can_filter_calls(), reason="the command knows a policy's processes by their filter"
+)
+@pytest.mark.usefixtures("_killed")
+def test_a_command_that_starts_a_policy_itself_finds_what_a_killed_keeper_leaves(tmp_path: Path) -> None:
+    command(tmp_path, "open(os.path.join(TOLD, '0'), 'w').write(str(os.getppid())); time.sleep(600)")
+    note = tmp_path / "told" / "0"
+    check = subprocess.Popen(
+        [sys.executable, "-m", "carecontact.cli", "check", "mine:P", "--policy-write", "told"],
+        cwd=tmp_path, stdout=subprocess.PIPE, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")},
+    )  # fmt: skip
+    assert _soon(lambda: note.exists() and note.read_text() != "", within_s=60)
+    keeper = int(note.read_text())
+    note.unlink()
+    mine = started(tmp_path)
+    assert len(mine) == 4
+    os.kill(keeper, signal.SIGABRT)
+    said = check.communicate(timeout=60)[0].decode()
+    assert "its process was killed without an answer, because its keeper was killed by SIGABRT" in said
+    assert not [described(pid) for pid in mine if _alive(pid)]
+    assert not list((tmp_path / "temporary").iterdir())

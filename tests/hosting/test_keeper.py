@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import resource
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +19,7 @@ import carecontact
 from carecontact.errors import PolicyError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
-from carecontact.own_process import adopts_orphans
-from tests.hosting.conftest import CHAIN, PREAMBLE
+from tests.hosting.conftest import CHAIN, PREAMBLE, Launch
 from tests.policies.synthetic import SESSION
 from tests.processes import described
 
@@ -88,7 +91,6 @@ def soon(true: Callable[[], bool], *, within_s: float = 1.0) -> bool:
 
 
 def test_each_policy_of_one_harness_takes_its_own_along(folders: tuple[Path, Path]) -> None:
-    assert not adopts_orphans(), "this process finds nothing that the keeper leaves"
     one, two = map(process, folders)
     one.start()
     two.start()
@@ -148,3 +150,102 @@ def test_they_go_with_a_harness_that_is_killed_and_so_does_the_policys_folder(
     assert (folders[0] / "told").exists()
     assert soon(lambda: not alive(folders[0])), described(int((folders[0] / "told").read_text()))
     assert soon(lambda: not list((tmp_path / "temporary").iterdir()))
+
+
+def test_the_policys_folder_goes_although_the_harness_ends_while_it_closes_the_policy(
+    folders: tuple[Path, Path], tmp_path: Path
+) -> None:
+    (tmp_path / "temporary").mkdir()
+    code = (
+        "import os, sys, threading, time; sys.path[:0] = sys.argv[1:3]\n"
+        "from tests.hosting.test_keeper import Path, process\n"
+        "made = process(Path(sys.argv[3])); made.start()\n"
+        "threading.Thread(target=made.close).start(); time.sleep(float(sys.argv[4])); os._exit(0)"
+    )
+    places = [str(Path(carecontact.__file__).parents[1]), str(Path(__file__).parents[2])]
+    for pause_s in (0.0, 0.01, 0.03, 0.1):
+        subprocess.run(
+            [sys.executable, "-c", code, *places, str(folders[0]), str(pause_s)],
+            env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, check=True,
+        )  # fmt: skip
+        assert soon(lambda: not list((tmp_path / "temporary").iterdir())), pause_s
+
+
+@pytest.mark.parametrize("act", [11, 40])
+def test_how_a_policy_ended_is_told_although_the_caller_blocks_and_ignores_signals(launch: Launch, act: int) -> None:
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
+    try:
+        made = launch(f"""
+            class P(Base):
+                def reset(self, instruction):
+                    os.kill(os.getpid(), {act})
+        """)
+        made.start()
+        with pytest.raises(PolicyError, match=r"its process was killed by (SIGSEGV|signal 40)") as failure:
+            made.reset("touch", SESSION)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+    assert failure.value.kind == "died"
+
+
+@pytest.mark.parametrize("number", [signal.SIGABRT, signal.SIGKILL])
+def test_a_lost_keeper_is_a_kill_that_nobody_books_at_once(launch: Launch, number: int) -> None:
+    made = launch("""
+        class P(Base):
+            def __init__(self):
+                self.keeper = os.getppid()
+            def reset(self, instruction):
+                print(self.keeper, flush=True)
+                time.sleep(60)
+    """)
+    made.start()
+
+    def kill() -> None:
+        soon(lambda: made.printed != "", within_s=20)
+        os.kill(int(made.printed), number)
+
+    threading.Thread(target=kill).start()
+    with pytest.raises(PolicyError, match=f"because its keeper was killed by {signal.Signals(number).name}") as failure:
+        made.reset("touch", SESSION)
+    assert failure.value.kind == "killed"
+
+
+def test_descriptors_may_have_large_numbers(launch: Launch) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    many = 1100
+    if hard != resource.RLIM_INFINITY and hard < 2 * many:
+        pytest.skip("this system permits too few open files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (2 * many, hard))
+    held = [os.open(os.devnull, os.O_RDONLY) for _ in range(many)]
+    try:
+        made = launch("""
+            class P(Base):
+                def reset(self, instruction):
+                    os.kill(os.getpid(), 11)
+        """)
+        made.start()
+        with pytest.raises(PolicyError, match="killed by SIGSEGV without an answer\\nit crashed here"):
+            made.reset("touch", SESSION)
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_harness_without_descriptors_says_so_and_keeps_none(launch: Launch) -> None:
+    made = launch("class P(Base): pass")
+    before, failures = len(os.listdir("/proc/self/fd")), list[int | None]()
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    for left in range(14):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (before - 1 + left, hard))
+        try:
+            made.start()
+            made.close()
+            break
+        except OSError as error:
+            failures.append(error.errno)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        assert len(os.listdir("/proc/self/fd")) == before
+    assert set(failures) == {errno.EMFILE}
+    assert 4 < len(failures) < 14

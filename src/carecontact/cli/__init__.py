@@ -11,7 +11,7 @@ from types import FrameType
 from carecontact import __version__
 from carecontact.cli.streams import drop_if_gone, drop_output, prepare_streams
 from carecontact.errors import CarecontactError, ConfigError
-from carecontact.own_process import hide_memory, hide_options
+from carecontact.own_process import adopt_orphans, hide_memory, hide_options
 
 REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write")
 """Options that a command line may hold several times."""
@@ -22,7 +22,12 @@ INTERRUPTED, BROKEN_PIPE = 130, 141
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status. Errors that the user can fix give one message and status 2."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments is None:
+        arguments = sys.argv[1:]
+        # Whoever started this command may ignore the signal, and then the ends of processes are not told.
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        adopt_orphans()
+    arguments = list(arguments)
     hide_options(arguments)
     prepare_streams()
     if arguments == ["--version"]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 import tyro
 
 from carecontact.cli.groups import FLAT, PolicyGroup
+from carecontact.cli.streams import drop_output
 from carecontact.errors import ConfigError
 
 
@@ -52,8 +54,16 @@ class Serve:
             host=self.host,
             port=self.port,
             at_once=self.at_once or available_cores(),
-            on_port=lambda bound: print(f"{name}: serving on {self.host}, port {bound}", flush=True),
-            # In one piece, because the threads of several trials print.
-            on_event=lambda event: print(f"{event}\n", end="", flush=True),
+            on_port=lambda bound: _print(f"{name}: serving on {self.host}, port {bound}"),
+            on_event=_print,
         )
         return 0
+
+
+def _print(line: str) -> None:
+    """Print a line for as long as somebody reads them, or they can be stored; the server goes on without."""
+    try:
+        # In one piece, because the threads of several trials print.
+        print(f"{line}\n", end="", flush=True)
+    except OSError:
+        drop_output(sys.stdout.fileno())

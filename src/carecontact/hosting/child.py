@@ -37,7 +37,7 @@ class Options(TypedDict):
     policy is imported, so that the policy cannot change it; then ``{"port": n}`` or
     ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
-    """File descriptor that reaches its end when the harness closes the other one or ends; only the keeper has it."""
+    """Socket that only the keeper has. It reaches its end when the harness closes the other one or ends."""
     harness_port: int
     """Port of the loopback interface from which the harness connects; connections from any other port are refused."""
     readable: list[str]

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import secrets
 import signal
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+
+from carecontact.own_process import adopt_orphans
 
 MARK = "CARECONTACT_POLICY_MARK"
 """Variable in a policy's environment, which every process that it starts inherits."""
@@ -17,6 +20,8 @@ PATIENCE_S = 2.0
 
 _PROC = Path("/proc")
 _TASKS = "/proc/self/task"
+
+_all_children = False
 
 
 def new_mark() -> str:
@@ -64,10 +69,47 @@ def kill_abandoned() -> None:
     _kill(abandoned)
 
 
+def claim_children() -> None:
+    """Declare that every child that this process has, or adopts from now on, belongs to a policy; adopt orphans."""
+    global _all_children
+    _all_children = True
+    adopt_orphans()
+
+
+def kill_adopted() -> None:
+    """Kill the processes of policies that this process has adopted because their keeper is gone; it has adopted none
+    unless it called ``adopt_orphans``.
+
+    Those are all its children if it called ``claim_children``; otherwise, its children that are bound by more filters
+    of system calls than this process is: isolation gives a policy such a filter, which nothing removes.
+    """
+    if _all_children:
+        kill_children({})
+        return
+    if sys.platform != "linux":
+        return
+    own, until = _filters("self"), time.monotonic() + PATIENCE_S
+    while time.monotonic() < until and (found := [pid for pid in _children() if _filters(str(pid)) > own]):
+        for pid in found:
+            with suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, os.WNOHANG)
+
+
+def _filters(process: str) -> int:
+    """Return the number of filters of system calls (seccomp) that bind a process; 0 if the kernel does not tell it
+    (before Linux 5.9)."""
+    with suppress(OSError, ValueError):
+        for line in (_PROC / process / "status").read_text(errors="replace").splitlines():
+            if line.startswith("Seccomp_filters:"):
+                return int(line.partition(":")[2])
+    return 0
+
+
 def kill_children(statuses: dict[int, int | None]) -> None:
     """Kill, by SIGKILL, all children of this process and all that it adopts meanwhile, until there are none.
 
-    It must have adopted orphans from the beginning: then a descendant becomes its child when its own parent ends, and
+    It must have adopted orphans from the beginning. Then a descendant becomes its child when its own parent ends, and
     none escapes.
 
     Args:

@@ -1,23 +1,23 @@
 """The keeper of a policy: the process between the harness and the policy's process, which it starts by a fork.
 
 Every process that the policy starts stays below the keeper, because the keeper adopts those whose own parent ends
-(Linux). When the policy ends, or the harness closes its lifeline or is killed, the keeper kills them all, and then ends
-as the policy did: with the same exit code, or by the same signal.
+(Linux). When the policy ends, or the harness closes its end of the lifeline or is killed, the keeper kills them all,
+tells over the lifeline how the policy ended, and removes its temporary folder.
 """
 
 from __future__ import annotations
 
 import os
-import select
 import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from carecontact.hosting.descendants import PATIENCE_S, kill_children, reap
 from carecontact.hosting.isolation.landlock import confine_signals
-from carecontact.hosting.isolation.private_folder import remove_if_abandoned
+from carecontact.hosting.isolation.private_folder import remove_folder
+from carecontact.hosting.readable import readable
 from carecontact.hosting.stack import ASK
 from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory
 
@@ -36,6 +36,9 @@ def keep(options: Options) -> None:
     process, which does.
     """
     keeper, harness = os.getpid(), os.getppid()
+    # Whoever started the harness may have changed these, and neither keeper nor policy works with blocked signals.
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     adopt_orphans()
     alone = options["isolated"] and confine_signals() and _refused(harness)
     policy = os.fork()
@@ -51,12 +54,15 @@ def keep(options: Options) -> None:
     try:
         _wait(policy, options["lifeline_fd"], statuses)
         _kill_all(policy, statuses, alone=alone)
-        if os.getppid() != harness:
-            remove_if_abandoned(Path(os.environ["TMPDIR"]))
+        status = statuses[policy]
+        with suppress(OSError):  # The harness may be gone.
+            os.write(options["lifeline_fd"], str(-signal.SIGKILL if status is None else status).encode())
+        # Here and not in the harness alone, which may end at any moment.
+        remove_folder(Path(os.environ["TMPDIR"]))
     except BaseException:
         _pass_on(signal.SIGKILL, policy, statuses)
         raise
-    _end_as(statuses[policy])
+    os._exit(0)
 
 
 def _refused(pid: int) -> bool:
@@ -78,7 +84,7 @@ def _wait(policy: int, lifeline: int, statuses: dict[int, int | None]) -> None:
         signal.signal(number, signal.SIG_IGN)
     more = False
     while statuses[policy] is None:
-        ready = select.select([lifeline, woken], [], [], 0 if more else None)[0]
+        ready = readable([lifeline, woken], 0.0 if more else None)
         if lifeline in ready:
             return
         if ready:
@@ -107,13 +113,3 @@ def _kill_all(policy: int, statuses: dict[int, int | None], *, alone: bool) -> N
         with suppress(ProcessLookupError, PermissionError):
             os.kill(-1, signal.SIGKILL)
     kill_children(statuses)
-
-
-def _end_as(status: int | None) -> NoReturn:
-    if status is None:
-        status = -signal.SIGKILL
-    if status < 0:
-        with suppress(OSError, ValueError):
-            signal.signal(-status, signal.SIG_DFL)
-        os.kill(os.getpid(), -status)
-    os._exit(status if status >= 0 else 1)

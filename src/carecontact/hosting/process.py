@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
 import re
-import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +21,15 @@ import carecontact
 from carecontact.cache_folder import cache_folder
 from carecontact.errors import PolicyError, StorageError
 from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
-from carecontact.hosting.descendants import MARK, kill_children, kill_marked, new_mark
+from carecontact.hosting.descendants import MARK, kill_adopted, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
 from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
 from carecontact.hosting.keeper import KEEPER_S
+from carecontact.hosting.readable import readable
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
 from carecontact.hosting.wire.connection import Connection
-from carecontact.own_process import adopts_orphans
 from carecontact.policies.registry import policy_target
 
 if TYPE_CHECKING:
@@ -71,6 +71,8 @@ main(options)
 
 
 PORTS = range(1, 1 << 16)
+TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
+"""Errors that neither the policy nor the temporary folder causes."""
 
 
 class PolicyProcess(PolicyConversation):
@@ -84,9 +86,10 @@ class PolicyProcess(PolicyConversation):
         self._target = policy_target(setup.ref)
         self._setup = setup
         self._child: subprocess.Popen[bytes] | None = None
-        """The keeper of the policy's process, whose end is like that of the policy."""
+        """The keeper of the policy's process."""
         self._mark = new_mark()
-        self._lifeline: int | None = None
+        self._lifeline: socket.socket | None = None
+        """The keeper ends with it, and tells over it how the policy's process ended."""
         self._line: socket.socket | None = None
         self._folder: PrivateFolder | None = None
         self._stack: int | None = None
@@ -146,43 +149,49 @@ class PolicyProcess(PolicyConversation):
         try:
             self._folder = private_folder()
         except OSError as error:
+            if error.errno in TOO_MANY_FILES:
+                raise
             raise StorageError(
                 f"no temporary folder can be made for the policy's process: {error}; mend that, or name another folder "
                 "in the variable TMPDIR, then give the same command again"
             ) from None
         self._line = socket.socket()
         self._line.bind(("127.0.0.1", 0))
-        report_read, report_write = os.pipe()
-        lifeline_read, self._lifeline = os.pipe()
-        self._stack, stack_write = os.pipe()
-        try:
+        with ExitStack() as theirs, ExitStack() as ours:
+            report_read, report_write = os.pipe()
+            theirs.callback(os.close, report_write)
+            ours.callback(os.close, report_read)
+            self._stack, stack_write = os.pipe()
+            theirs.callback(os.close, stack_write)
+            self._lifeline, lifeline = socket.socketpair()
+            theirs.callback(lifeline.close)
             # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a
             # set, and so a policy's answer, may differ from run to run.
-            self._child = subprocess.Popen(
-                [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
-                env=_environment(self._setup)
-                | dict(self._setup.environment)
-                | {MARK: self._mark, "TMPDIR": str(self._folder.path)},
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                pass_fds=(report_write, lifeline_read, stack_write),
-                start_new_session=True,
-            )
-        except OSError as error:
-            os.close(report_read)
-            raise PolicyError("start", f"no process could be started: {error}") from None
-        finally:
-            for end in (report_write, lifeline_read, stack_write):
-                os.close(end)
+            try:
+                self._child = subprocess.Popen(
+                    [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
+                    env=_environment(self._setup)
+                    | dict(self._setup.environment)
+                    | {MARK: self._mark, "TMPDIR": str(self._folder.path)},
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=(report_write, lifeline.fileno(), stack_write),
+                    start_new_session=True,
+                )
+            except OSError as error:
+                if error.errno in TOO_MANY_FILES:
+                    raise
+                raise PolicyError("start", f"no process could be started: {error}") from None
+            options = _options(
+                self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline.fileno(), stack_fd=stack_write,
+                harness_port=self._line.getsockname()[1],
+            )  # fmt: skip
+            ours.pop_all()
         self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
-        self._watcher = threading.Thread(target=self._kill_left, args=(self._child,), daemon=True)
+        self._watcher = threading.Thread(target=self._kill_left, args=(self._child, self._lifeline), daemon=True)
         for thread in (self._reader, self._watcher):
             thread.start()
-        options = _options(
-            self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline_read, stack_fd=stack_write,
-            harness_port=self._line.getsockname()[1],
-        )  # fmt: skip
         # Not on the command line, which every user of the machine can read.
         assert self._child.stdin is not None
         with suppress(BrokenPipeError), self._child.stdin as stdin:
@@ -215,7 +224,7 @@ class PolicyProcess(PolicyConversation):
                 yield line
                 written = rest
                 continue
-            if not select.select([report], [], [], left())[0]:
+            if not readable([report.fileno()], left()):
                 raise PolicyError(
                     "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
                 )
@@ -239,24 +248,34 @@ class PolicyProcess(PolicyConversation):
 
     def _kind(self, error: PolicyError) -> str:
         """Return ``killed`` if the process received SIGKILL; nobody can tell who sent it."""
-        if self._child is None or error.kind not in ("died", "start", "handshake"):
+        if self._child is None or error.kind not in ("died", "start", "handshake", "garbage"):
             return error.kind
-        with suppress(subprocess.TimeoutExpired):
-            if self._child.wait(GRACE_S) == -signal.SIGKILL:
+        with suppress(TimeoutError):
+            status = self._status(patience_s=0.0 if error.kind == "garbage" else GRACE_S)
+            # Without its keeper, the kernel has killed it.
+            if status in (None, -signal.SIGKILL):
                 return "killed"
         return error.kind
+
+    def _status(self, *, patience_s: float = GRACE_S) -> int | None:
+        """Return the exit status of the policy's process, as ``subprocess.Popen.returncode``; None if its keeper ended
+        without telling it. Raises TimeoutError if neither happens.
+        """
+        assert self._lifeline is not None
+        if not readable([self._lifeline.fileno()], patience_s):
+            raise TimeoutError
+        return _told(self._lifeline)
 
     def _how_it_ended(self, when: str = "without an answer") -> str:
         if self._child is None:
             return ""
         try:
-            code = self._child.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
+            code = self._status()
+        except TimeoutError:
             return f"it closed its connection {when}, and its process still runs"
-        if code < 0:
-            with suppress(ValueError):
-                return f"its process was killed by {signal.Signals(-code).name} {when}"
-        return f"its process ended itself {when}, exit code {code}"
+        if code is None:
+            return f"its process was killed {when}, because its keeper {_ended_as(self._child.wait())}"
+        return f"its process {_ended_as(code)} {when}" if code < 0 else f"its process {_ended_as(code, when)}"
 
     def _where(self, kind: str) -> str:
         if self._child is None or self._stack is None or kind not in ("timeout", "died", "start"):
@@ -275,24 +294,21 @@ class PolicyProcess(PolicyConversation):
             return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
-    def _kill_left(self, child: subprocess.Popen[bytes]) -> None:
+    def _kill_left(self, child: subprocess.Popen[bytes], lifeline: socket.socket) -> None:
         """Wait for the keeper's end, then do its work if it was killed: as long as a process that the policy started
         holds the connection, the policy's death would go unnoticed.
         """
-        # A keeper that does its work ends by a signal only if the policy did.
-        if child.wait() < 0:
+        child.wait()
+        if _told(lifeline) is None:
             kill_marked(self._mark)
-            # This process has no other children: it adopted those that neither have the mark nor a living parent.
-            if adopts_orphans():
-                kill_children({})
+            kill_adopted()
 
     def _kill(self) -> None:
         """Let the keeper kill the process and everything that the policy started."""
-        if self._lifeline is not None:
-            os.close(self._lifeline)
-            self._lifeline = None
-        if self._child is None:
+        if self._child is None or self._lifeline is None:
             return
+        with suppress(OSError):
+            self._lifeline.shutdown(socket.SHUT_WR)
         try:
             self._child.wait(KEEPER_S)
         except subprocess.TimeoutExpired:
@@ -303,6 +319,9 @@ class PolicyProcess(PolicyConversation):
     def _drop(self) -> None:
         self._kill()
         self._child = None
+        if self._lifeline is not None:
+            self._lifeline.close()
+            self._lifeline = None
         if self._reader is not None:
             self._reader.join(GRACE_S)
         if self._folder is not None:
@@ -315,6 +334,22 @@ class PolicyProcess(PolicyConversation):
             self._line.close()
             self._line = None
         super()._drop()
+
+
+def _told(lifeline: socket.socket) -> int | None:
+    """Return the exit status that the keeper has told; None if it ended without telling one."""
+    with suppress(OSError, ValueError):
+        return int(lifeline.recv(16, socket.MSG_PEEK | socket.MSG_DONTWAIT))
+    return None
+
+
+def _ended_as(code: int, when: str = "") -> str:
+    if code >= 0:
+        return f"ended itself {when}, exit code {code}" if when else f"ended with exit code {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
 
 
 def _options(

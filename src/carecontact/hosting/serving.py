@@ -5,12 +5,13 @@ from __future__ import annotations
 import select
 import socket
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
-from carecontact.errors import ConfigError, PolicyError
-from carecontact.hosting.process import PolicyProcess
+from carecontact.errors import CarecontactError, ConfigError
+from carecontact.hosting.process import TOO_MANY_FILES, PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 
 WAITING = 100
@@ -19,6 +20,7 @@ FIRST_WORD_S = 10.0
 """Time [s] for a client to send the first byte of its handshake; an honest one sends it at once."""
 LOAD_DEADLINE_S = 600.0
 """Time [s] for a policy to load; the trial at the other end has a shorter deadline of its own."""
+PAUSE_S = 1.0
 KEEPALIVE_S = 60
 """Interval [s] of the checks whether a trial's host is still there; one that vanished is given up after about twice
 this."""
@@ -60,8 +62,15 @@ def serve_trials(
     with listener:
         on_port(listener.getsockname()[1])
         while True:
-            with door:
-                connection, (address, number, *_) = listener.accept()
+            try:
+                with door:
+                    connection, (address, number, *_) = listener.accept()
+            except OSError as error:
+                if error.errno not in TOO_MANY_FILES:
+                    raise
+                on_event(f"no connection is accepted for {PAUSE_S:g} s: {error.strerror}")
+                time.sleep(PAUSE_S)
+                continue
             # A daemon thread: when this process ends, the policies end too, by the pipe that they watch.
             threading.Thread(target=serve_one, args=(connection, f"{address} port {number}"), daemon=True).start()
 
@@ -91,7 +100,7 @@ def _serve_one(connection: socket.socket, peer: str, *, setup: PolicySetup, on_e
         with process, process.launch() as inner:
             _relay(connection, inner)
             where = process.hung()
-    except (PolicyError, OSError) as error:
+    except (CarecontactError, OSError) as error:
         on_event(f"{peer}: {error}")
         return
     printed = f"; the policy printed last:\n{process.printed}" if process.printed else ""

@@ -6,11 +6,11 @@ import faulthandler
 import importlib
 import os
 import re
-import select
 import signal
 from pathlib import Path
 
 import carecontact
+from carecontact.hosting.readable import readable
 
 ASK = signal.SIGQUIT
 """The signal that asks a process for its stack, as in Java and Go."""
@@ -46,7 +46,7 @@ def read_stack(fd: int, *, patience_s: float) -> str:
         patience_s: how long to wait for the first of them.
     """
     written, wait_s = b"", patience_s
-    while len(written) < MOST_BYTES and select.select([fd], [], [], wait_s)[0]:
+    while len(written) < MOST_BYTES and readable([fd], wait_s):
         piece = os.read(fd, MOST_BYTES)
         if not piece:
             break

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gc
 import os
-import select
 import socket
 import struct
 import sys
@@ -18,6 +17,7 @@ from contextlib import suppress
 from importlib import import_module
 
 from carecontact.errors import DependencyError
+from carecontact.hosting.readable import readable
 from carecontact.own_process import die_with_parent, hide_memory
 from carecontact.trials import worker
 
@@ -42,7 +42,7 @@ def main() -> None:
     prepare()
     alive: dict[int, tuple[int, int]] = {}
     while True:
-        ready: list[int] = select.select([TOLD_FD, *alive], [], [])[0]
+        ready = readable([TOLD_FD, *alive])
         for descriptor in ready:
             if descriptor in alive:
                 pid, news = alive.pop(descriptor)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import socket
 import subprocess
@@ -13,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
+from carecontact.hosting.readable import readable
 from carecontact.trials.fork_server import NEWS, TOLD_FD
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.worker import SINGLE_THREAD, WITHOUT_WINDOWS
@@ -134,7 +134,7 @@ class ForkedProcess:
     def poll(self) -> int | None:
         if is_stopped(self._server.pid):
             self._server.kill()
-        if self.returncode is None and select.select([self._news], [], [], 0)[0]:
+        if self.returncode is None and readable([self._news], 0.0):
             self.wait()
         return self.returncode
 
@@ -148,7 +148,7 @@ class ForkedProcess:
 
     def _next(self) -> int | None:
         """Return the next number; None if the server is gone, or silent for so long that it has to go."""
-        if not select.select([self._news], [], [], PATIENCE_S)[0]:
+        if not readable([self._news], PATIENCE_S):
             self._server.kill()
         piece = os.read(self._news, NEWS.size)
         return NEWS.unpack(piece)[0] if piece else None

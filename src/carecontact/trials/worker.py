@@ -16,7 +16,8 @@ import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory
+from carecontact.hosting.descendants import claim_children
+from carecontact.own_process import die_with_parent, hide_memory
 
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look
@@ -58,7 +59,7 @@ def main(parent: int) -> int:
     os.environ.update(SINGLE_THREAD)
     os.environ.update({name: value for name, value in WITHOUT_WINDOWS.items() if name not in os.environ})
     hide_memory()
-    adopt_orphans()
+    claim_children()
     from carecontact.recording.storage import is_full
 
     try:

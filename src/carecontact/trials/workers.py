@@ -17,7 +17,7 @@ from typing import cast
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.hosting.conversation import WAIT_REPORT_S, readable
-from carecontact.hosting.descendants import kill_marked, marks_of
+from carecontact.hosting.descendants import kill_adopted, kill_marked, marks_of
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.keeper import KEEPER_S
 from carecontact.hosting.setup import PolicySetup
@@ -225,6 +225,7 @@ def kill_tree(process: Process) -> None:
     process.wait()
     # The keeper of its policy kills them, too, and more of them.
     kill_marked(marks_of(process.pid), grace_s=KEEPER_S)
+    kill_adopted()
     remove_abandoned_folders()
 
 

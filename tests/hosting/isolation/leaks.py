@@ -19,6 +19,7 @@ from pathlib import Path
 from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
 from carecontact.hosting.isolation.fence import CACHES
+from carecontact.hosting.isolation.system_calls import PROCESS_CONNECTOR
 
 SEIZE = 0x4206
 """linux/ptrace.h"""
@@ -83,6 +84,10 @@ def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[]
         "learn the names of settled persons that are used": lambda: _watched(settled),
         "change the harness's priority at the disk": lambda: _disk_priority(harness),
         "processor time of the harness": lambda: time.clock_gettime(~harness << 3 | 2),
+        "processor time of all processes, to a nanosecond": lambda: os.listdir("/sys/fs/cgroup"),
+        "be told of processes that start and end": lambda: socket.socket(
+            socket.AF_NETLINK, socket.SOCK_DGRAM, PROCESS_CONNECTOR
+        ).close(),
         "find the run's folder among its options": _named_folders,
     }
 

@@ -23,6 +23,11 @@ SYSTEM = (
 )  # fmt: skip
 """What programs need to read: programs, libraries, hardware, certificates and names of hosts. Never /home, /root, /tmp,
 /run or all of /etc."""
+CLOCKS = (
+    "/sys/fs/cgroup", "/sys/kernel/debug", "/sys/kernel/tracing", "/sys/devices/system/cpu/cpu*/cpuidle",
+    "/sys/devices/system/cpu/cpu*/cpufreq/stats",
+)  # fmt: skip
+"""Parts of SYSTEM that count, to a microsecond or better, the processor time that others use."""
 PROCESS = (
     "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/uptime", "/proc/loadavg", "/proc/version",
     "/proc/filesystems", "/proc/devices", "/proc/modules", "/proc/sys", "/proc/driver",
@@ -67,7 +72,8 @@ def rights(
         found[path] = found.get(path, 0) | right
 
     keys = [path for path in map(os.path.expanduser, KEYS) if os.path.exists(path)]
-    shut = [os.path.realpath(path) for path in (*closed, *keys)]
+    clocks = [path for pattern in CLOCKS for path in glob.glob(pattern)]
+    shut = [os.path.realpath(path) for path in (*closed, *keys, *clocks)]
     places = [*SYSTEM, *PROCESS, *map(os.path.expanduser, CACHES), *_interpreter(), *_package(search_path, target)]
     home = os.path.realpath(os.path.expanduser("~"))
     for place in map(os.path.realpath, [*places, *search_path, *_paths(given)]):

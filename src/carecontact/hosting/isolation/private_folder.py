@@ -26,15 +26,20 @@ class PrivateFolder:
     """Descriptor of the lock, which the kernel releases when this process ends in any way."""
 
     def remove(self) -> None:
-        """Remove the folder, whatever its policy made in it, and release the lock."""
-        # A tree deeper than Python's stack raises, and a folder without the right to list it stays.
-        with suppress(RecursionError):
-            shutil.rmtree(self.path, ignore_errors=True)
-        if self.path.exists():
-            for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
-                with suppress(OSError):
-                    subprocess.run([*command, "--", self.path], stdin=DEVNULL, stderr=DEVNULL, check=False)
+        """Remove the folder and release the lock."""
+        remove_folder(self.path)
         os.close(self.lock)
+
+
+def remove_folder(path: Path) -> None:
+    """Remove the folder of a policy, whatever that made in it."""
+    # A tree deeper than Python's stack raises, and a folder without the right to list it stays.
+    with suppress(RecursionError):
+        shutil.rmtree(path, ignore_errors=True)
+    if path.exists():
+        for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
+            with suppress(OSError):
+                subprocess.run([*command, "--", path], stdin=DEVNULL, stderr=DEVNULL, check=False)
 
 
 def private_folder() -> PrivateFolder:
@@ -53,13 +58,8 @@ def private_folder() -> PrivateFolder:
 def remove_abandoned_folders() -> None:
     """Remove the folders of policies whose harness was killed."""
     for path in _place().glob(f"{PREFIX}*"):
-        remove_if_abandoned(path)
-
-
-def remove_if_abandoned(path: Path) -> None:
-    """Remove the folder of a policy if its harness is gone."""
-    with suppress(OSError):
-        PrivateFolder(path=path, lock=_locked(path)).remove()
+        with suppress(OSError):
+            PrivateFolder(path=path, lock=_locked(path)).remove()
 
 
 def _place() -> Path:

@@ -2,8 +2,9 @@
 
 With these calls a policy could act on the trial's process or watch it, because both belong to the same user. It could
 set that process's resource limits, so that the kernel kills it; lower its priority at the disk; take a lease on a file
-that the next trial opens, so that the trial waits for 45 s and tells that it opened the file; or watch which files the
-harness makes; or read how much processor time that process has used, which is more in contact.
+that the next trial opens, so that the trial waits for 45 s and tells that it opened the file; watch which files the
+harness makes; read how much processor time that process has used, which is more in contact; or be told by the kernel
+when processes start and end (the process connector, a socket).
 
 Numbers are those of linux/seccomp.h, linux/filter.h, linux/audit.h and of each architecture's table of system calls."""
 
@@ -71,12 +72,19 @@ TELLS_OR_HOLDS = (1024, 1026, 1040)
 CLOCKS_OF_OTHERS = 1 << 31
 """linux/posix-timers.h: the number of a clock is negative where it is the processor time of a process."""
 
+PROCESS_CONNECTOR = 11
+"""Protocol of a netlink socket (NETLINK_CONNECTOR of linux/netlink.h); no other family has a protocol of this number
+that a process without privileges may use."""
+
 CALLS = (
     # prlimit64. A process that calls itself 0 sets its own limits.
     Refused(numbers={"x86_64": 302, "i386": 340, "aarch64": 261, "arm": 369}, unless=0),
     # fcntl and fcntl64
     Refused(numbers={"x86_64": 72, "i386": 55, "aarch64": 25, "arm": 55}, argument=1, only=TELLS_OR_HOLDS),
     Refused(numbers={"i386": 221, "arm": 221}, argument=1, only=TELLS_OR_HOLDS),
+    # socket. Programs for i386 that call socketcall, which hides the arguments in memory, get no socket.
+    Refused(numbers={"x86_64": 41, "i386": 359, "aarch64": 198, "arm": 281}, argument=2, only=(PROCESS_CONNECTOR,)),
+    Refused(numbers={"i386": 102}),
     # inotify_add_watch, fanotify_init, ioprio_set
     Refused(numbers={"x86_64": 254, "i386": 292, "aarch64": 27, "arm": 317}),
     Refused(numbers={"x86_64": 300, "i386": 338, "aarch64": 262, "arm": 367}),
