@@ -6,6 +6,7 @@ import functools
 import json
 import shutil
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,9 @@ import carecontact
 from carecontact.cli import main
 from carecontact.cli.changes import differences
 from carecontact.cli.demo import missing_successes
+from carecontact.errors import RecordingError
 from carecontact.protocols import protocol_file
-from carecontact.recording import Recording, read_recording, write_recording
+from carecontact.recording import Recording, read_header, read_recording, write_recording
 from carecontact.runs import score_folder, score_run
 from carecontact.runs.score_files import score_file
 from carecontact.trials import supervisor
@@ -57,6 +59,33 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     assert main([*command, "--retry-failed"]) == 0
     assert "not counted" not in capsys.readouterr().out
     assert Path("ran.txt").read_text().split()[::2].count("T1-s000") == 1
+
+
+def test_a_recording_that_is_damaged_inside_is_run_again_at_once(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r"]
+    assert main(command) == 0
+    path, results = Path("r/T1-s000.h5"), Path("r/results.json").read_text()
+    whole = path.read_bytes()
+    for place in range(len(whole) // 4, len(whole), 101):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with suppress(RecordingError):
+            read_header(path)
+            try:
+                read_recording(path)
+            except RecordingError:
+                break
+    else:
+        pytest.fail("no byte is read by read_recording alone")
+    capsys.readouterr()
+    assert main(command) == 0
+    told = capsys.readouterr().out
+    assert "\ndamaged recordings, whose trials run again: T1-s000\n" in told
+    assert "differ" not in told
+    read_recording(path)
+    assert Path("ran.txt").read_text().split()[::2].count("T2-s000") == 1
+    assert json.loads(Path("r/results.json").read_text())["trials"] == json.loads(results)["trials"]
 
 
 def test_a_trial_that_ran_is_scored_once(fake: pytest.MonkeyPatch) -> None:

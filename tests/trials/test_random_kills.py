@@ -30,6 +30,26 @@ LAST = 0.75
 GONE_S = 1.0
 """After the death of the command."""
 
+HELPER = f"4321.{os.getpid()}"
+POLICY = f"""
+import os
+from carecontact.contract.action import Action
+from carecontact.contract.policy import PolicyCard
+
+def help():
+    # In a session of its own, without the variables that the policy was given, by a shell that ends.
+    os.system("env -i setsid sleep {HELPER} & exit 0")
+
+class P:
+    card = PolicyCard(name="helped")
+    def __init__(self):
+        help()
+    def reset(self, instruction):
+        help()
+    def act(self, observation):
+        return Action()
+"""
+
 Process = tuple[int, str]
 """Id and time of the start, which a process that has the id later does not share."""
 
@@ -70,9 +90,19 @@ def started_in(temporary: Path) -> list[int]:
     return found
 
 
+def helpers() -> list[int]:
+    """What the policies started, also that which no attack saw."""
+    found: list[int] = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if HELPER.encode() in (folder / "cmdline").read_bytes() and int(folder.name) != os.getpid():
+                found.append(int(folder.name))
+    return found
+
+
 def command(out: Path, trials: int) -> list[str]:
     return [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1,T2",
+        sys.executable, "-m", "carecontact.cli", "run", "--policy", "mine:P", "--tasks", "T1,T2",
         "--seeds", f"0-{trials // 2 - 1}", "--set", "phases.time_limit_s=1", "--jobs", "2", "--out", str(out),
     ]  # fmt: skip
 
@@ -88,8 +118,9 @@ class Terminal:
         self._ours, theirs = pty.openpty()
         os.set_blocking(self._ours, False)
         self.running = subprocess.Popen(
-            ["setsid", "--ctty", *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=within(temporary)
-        )
+            ["setsid", "--ctty", *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=within(temporary),
+            cwd=temporary.parent,
+        )  # fmt: skip
         os.close(theirs)
 
     def wait(self, seconds: float) -> bool:
@@ -157,6 +188,7 @@ class Attack:
         time.sleep(GONE_S)
         assert not [described(process[0]) for process in seen if alive(process)]
         assert not started_in(self.temporary)
+        assert not [described(pid) for pid in helpers()]
         self.look()
         return terminal.running.returncode
 
@@ -189,9 +221,12 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
     trials, hangups = given("KILL_TRIALS", TRIALS), given("KILL_HANGUPS", HANGUPS)
     undisturbed, temporary = tmp_path / "undisturbed", tmp_path / "temporary"
     temporary.mkdir()
+    (tmp_path / "mine.py").write_text(POLICY)
     shared = set(Path("/dev/shm").iterdir())
     kills, began = given("KILL_KILLS", KILLS), time.monotonic()
-    subprocess.run(command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL, env=within(temporary))
+    subprocess.run(
+        command(undisturbed, trials), check=True, stdout=subprocess.DEVNULL, env=within(temporary), cwd=tmp_path
+    )
     longest_s = 2.0 * STRETCH * (time.monotonic() - began) / (kills + hangups)
     attack = Attack(tmp_path / "run", temporary, trials, random.Random(7), longest_s, kills, hangups)
     while attack.kills + attack.hangups and len(attack.done) < trials:

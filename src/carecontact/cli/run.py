@@ -20,7 +20,7 @@ from carecontact.cli.groups import (
     VisionGroup,
 )
 from carecontact.cli.run_lines import say_run, say_trial
-from carecontact.errors import ConfigError, counted
+from carecontact.errors import ConfigError, RecordingError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,7 +150,11 @@ class Run:
             print(f"salted: sha256 {specs[0].commitment}", flush=True)
         cores = min(available_cores(), self.parallel.jobs or available_cores())
         with closing(Scorer(cores, trials=len(specs))) as scorer:
-            summary = self._trials(specs, setup, scorer, card=card, purpose=purpose, whole=whole)
+            more = {"card": card, "purpose": purpose, "whole": whole}
+            summary = self._trials(specs, setup, scorer, **more)
+            if damaged := self._damaged(summary, scorer):
+                print(f"damaged recordings, whose trials run again: {', '.join(damaged)}", flush=True)
+                summary = self._trials(specs, setup, scorer, suspects=damaged, **more)
             status = self._finish(summary, scorer)
         if self.output.json and summary.unreached is None:
             say_run(specs[0], self.out, summary, status=status)
@@ -162,6 +166,20 @@ class Run:
                 f"{again} to continue"
             )
         return status
+
+    def _damaged(self, summary: RunSummary, scorer: Scorer) -> list[str]:
+        """Return the trials that the run kept although their recordings are damaged inside, which scoring finds."""
+        from carecontact.recording import read_recording
+
+        found: list[str] = []
+        for trial_id in summary.kept:
+            path = self.out / f"{trial_id}.h5"
+            try:
+                if scorer.score_of(path) is None:
+                    read_recording(path)
+            except RecordingError:
+                found.append(trial_id)
+        return found
 
     def _trials(self, specs: list[TrialSpec], setup: PolicySetup, scorer: Scorer, **more: Any) -> RunSummary:
         from carecontact.cli.progress import progress
