@@ -85,6 +85,8 @@ def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[]
         "change the harness's priority at the disk": lambda: _disk_priority(harness),
         "processor time of the harness": lambda: time.clock_gettime(~harness << 3 | 2),
         "processor time of all processes, to a nanosecond": lambda: os.listdir("/sys/fs/cgroup"),
+        "processor time of all processes": Path("/proc/stat").read_text,
+        "how many processes run": Path("/proc/loadavg").read_text,
         "be told of processes that start and end": lambda: socket.socket(
             socket.AF_NETLINK, socket.SOCK_DGRAM, PROCESS_CONNECTOR
         ).close(),

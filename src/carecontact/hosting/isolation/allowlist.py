@@ -28,11 +28,17 @@ CLOCKS = (
     "/sys/devices/system/cpu/cpu*/cpufreq/stats",
 )  # fmt: skip
 """Parts of SYSTEM that count, to a microsecond or better, the processor time that others use."""
+LIMITS = tuple(f"/sys/fs/cgroup/{name}" for name in (
+    "cpu.max", "cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us", "memory.max", "memory/memory.limit_in_bytes",
+))  # fmt: skip
+"""Files among these that libraries read to learn how many threads to start; joblib fails if it cannot open the first
+one although it exists."""
 PROCESS = (
-    "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/uptime", "/proc/loadavg", "/proc/version",
-    "/proc/filesystems", "/proc/devices", "/proc/modules", "/proc/sys", "/proc/driver",
+    "/proc/cpuinfo", "/proc/meminfo", "/proc/version", "/proc/filesystems", "/proc/devices", "/proc/modules",
+    "/proc/sys", "/proc/driver",
 )  # fmt: skip
-"""The parts of /proc that describe the machine. Of the processes in it, a policy sees only its own."""
+"""The parts of /proc that describe the machine. Of the processes in it, a policy sees only its own. Never stat, uptime
+or loadavg: stat tells contact by how much processor time the simulator takes (docs/threat-model.md)."""
 CACHES = ("~/.cache",)
 """Folders in which libraries keep downloaded weights."""
 KEYS = ("~/.cache/huggingface/token", "~/.cache/huggingface/stored_tokens")
@@ -80,6 +86,8 @@ def rights(
         # A folder that holds the whole home folder does not open the keys that programs keep hidden there.
         for path in without(place, [*shut, *_hidden(home)] if _inside(home, place) else shut):
             allow(path, READ)
+    for path in filter(os.path.exists, LIMITS):
+        allow(path, READ)
     for path in (path for pattern in DEVICES for path in glob.glob(pattern)):
         allow(path, READ | DEVICE)
     for place in SOCKETS:
