@@ -20,7 +20,7 @@ from carecontact.cli.groups import (
     VisionGroup,
 )
 from carecontact.cli.run_lines import say_run, say_trial
-from carecontact.errors import ConfigError, RecordingError, counted
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from carecontact.contract.trial import TrialSpec
     from carecontact.hosting.setup import PolicySetup
     from carecontact.runs.manifest import Purpose
+    from carecontact.runs.run_scores import RunScores
     from carecontact.trials.scorer import Scorer
     from carecontact.trials.supervisor import RunSummary, TrialEvent
 
@@ -152,10 +153,13 @@ class Run:
         with closing(Scorer(cores, trials=len(specs))) as scorer:
             more = {"card": card, "purpose": purpose, "whole": whole}
             summary = self._trials(specs, setup, scorer, **more)
-            if damaged := self._damaged(summary, scorer):
+            scores = self._scores(summary, scorer)
+            # Scoring alone reads every array; the run then repeats the trials of what scoring skipped as damaged.
+            if scores and (damaged := [trial for trial in summary.kept if f"{trial}.h5" in scores.skipped]):
                 print(f"damaged recordings, whose trials run again: {', '.join(damaged)}", flush=True)
-                summary = self._trials(specs, setup, scorer, suspects=damaged, **more)
-            status = self._finish(summary, scorer)
+                summary = self._trials(specs, setup, scorer, **more)
+                scores = self._scores(summary, scorer)
+            status = self._finish(summary, scores) if scores else 0
         if self.output.json and summary.unreached is None:
             say_run(specs[0], self.out, summary, status=status)
         if summary.unreached is not None:
@@ -166,20 +170,6 @@ class Run:
                 f"{again} to continue"
             )
         return status
-
-    def _damaged(self, summary: RunSummary, scorer: Scorer) -> list[str]:
-        """Return the trials that the run kept although their recordings are damaged inside, which scoring finds."""
-        from carecontact.recording import read_recording
-
-        found: list[str] = []
-        for trial_id in summary.kept:
-            path = self.out / f"{trial_id}.h5"
-            try:
-                if scorer.score_of(path) is None:
-                    read_recording(path)
-            except RecordingError:
-                found.append(trial_id)
-        return found
 
     def _trials(self, specs: list[TrialSpec], setup: PolicySetup, scorer: Scorer, **more: Any) -> RunSummary:
         from carecontact.cli.progress import progress
@@ -207,17 +197,21 @@ class Run:
         if self.output.json:
             say_trial(event, self.out, scorer)
 
-    def _finish(self, summary: RunSummary, scorer: Scorer) -> int:
-        """Score the recordings, write the report, and return the exit status."""
-        from carecontact.cli.failed_trials import failed_status, print_failed
-        from carecontact.cli.report_page import write_page
+    def _scores(self, summary: RunSummary, scorer: Scorer) -> RunScores | None:
+        """Score the recordings, write results.json and print the table; None if no trial has ended."""
         from carecontact.cli.rescoring import rescore
-        from carecontact.reports.text import clipped_text
 
         if not summary.ended:
-            return 0
+            return None
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-        scores = rescore(self.out, compare=not summary.ran, scored=scorer.take)
+        return rescore(self.out, compare=not summary.ran, scored=scorer.take)
+
+    def _finish(self, summary: RunSummary, scores: RunScores) -> int:
+        """Write the report, and return the exit status."""
+        from carecontact.cli.failed_trials import failed_status, print_failed
+        from carecontact.cli.report_page import write_page
+        from carecontact.reports.text import clipped_text
+
         write_page(self.out, scores)
         print(f"a page for each trial: carecontact report {shlex.quote(str(self.out))} --trials")
         print_failed(summary.ended, out=self.out)

@@ -248,21 +248,20 @@ class PolicyProcess(PolicyConversation):
 
     def _kind(self, error: PolicyError) -> str:
         """Return ``killed`` if the process received SIGKILL; nobody can tell who sent it."""
-        if self._child is None or error.kind not in ("died", "start", "handshake", "garbage"):
+        if self._child is None or error.kind not in ("died", "start", "handshake"):
             return error.kind
         with suppress(TimeoutError):
-            status = self._status(patience_s=0.0 if error.kind == "garbage" else GRACE_S)
             # Without its keeper, the kernel has killed it.
-            if status in (None, -signal.SIGKILL):
+            if self._status() in (None, -signal.SIGKILL):
                 return "killed"
         return error.kind
 
-    def _status(self, *, patience_s: float = GRACE_S) -> int | None:
+    def _status(self) -> int | None:
         """Return the exit status of the policy's process, as ``subprocess.Popen.returncode``; None if its keeper ended
         without telling it. Raises TimeoutError if neither happens.
         """
         assert self._lifeline is not None
-        if not readable([self._lifeline.fileno()], patience_s):
+        if not readable([self._lifeline.fileno()], GRACE_S):
             raise TimeoutError
         return _told(self._lifeline)
 
@@ -337,7 +336,7 @@ class PolicyProcess(PolicyConversation):
 
 
 def _told(lifeline: socket.socket) -> int | None:
-    """Return the exit status that the keeper has told; None if it ended without telling one."""
+    """Return the exit status that the keeper has reported, or None if it ended without a report."""
     with suppress(OSError, ValueError):
         return int(lifeline.recv(16, socket.MSG_PEEK | socket.MSG_DONTWAIT))
     return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -79,13 +79,8 @@ def runs_beside(out: Path) -> list[str]:
     return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
-def survey(
-    specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity, suspects: Collection[str] = ()
-) -> Survey:
+def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
     """Sort the wanted trials that have a file in ``out`` into those to keep and those to run again.
-
-    Args:
-        suspects: ids of trials whose recordings are to be read whole.
 
     Raises ConfigError when the folder holds a run of another policy, protocol or identity, or a damaged manifest.
     """
@@ -106,8 +101,7 @@ def survey(
     for path in sorted(out.glob("*.h5")):
         try:
             # Damage inside an array is found by the scoring after every run, so what that skipped is read whole here.
-            whole = path.name in skipped or path.stem in suspects
-            header = read_recording(path).header if whole else read_header(path)
+            header = read_recording(path).header if path.name in skipped else read_header(path)
         except RecordingError as error:
             if path.stem in wanted:
                 redo[path.stem] = str(error)

@@ -4,7 +4,7 @@ out."""
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -106,7 +106,6 @@ def open_run(
     launcher: Launcher | None = None,
     purpose: Purpose = "run",
     whole: Sequence[str] = (),
-    suspects: Collection[str] = (),
 ) -> Generator[Run]:
     """Keep the folder of a run for the trials that it still lacks; the end of the block kills those that run.
 
@@ -119,7 +118,6 @@ def open_run(
         gpus: share of a GPU that a cluster reserves for each trial.
         launcher: starts the workers of other runs of this command, too, if it has the same ``worker_command``.
         whole: ids of all trials of the run of which ``specs`` are a part.
-        suspects: ids of trials whose recordings may be damaged inside, which only reading them whole tells.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
     written to, and for an engine that cannot be reached; DependencyError for one that is not installed; StorageError if
@@ -132,7 +130,7 @@ def open_run(
     check_setup(specs[0], setup)
     identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language, card=card)
     with alone(out, make=True):
-        found = survey(specs, out=out, retry_failed=retry_failed, identity=identity, suspects=suspects)
+        found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
         specs = salted(specs, out=out)
         _prepare(out, specs, identity=identity, purpose=purpose, whole=whole)
         setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
