@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -232,7 +233,10 @@ def test_descriptors_may_have_large_numbers(launch: Launch) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_a_harness_without_descriptors_says_so_and_keeps_none(launch: Launch) -> None:
+def test_a_harness_without_descriptors_says_so_and_keeps_none(
+    launch: Launch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     made = launch("class P(Base): pass")
     before, failures = len(os.listdir("/proc/self/fd")), list[int | None]()
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -247,5 +251,6 @@ def test_a_harness_without_descriptors_says_so_and_keeps_none(launch: Launch) ->
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         assert len(os.listdir("/proc/self/fd")) == before
+        assert not list(tmp_path.glob("carecontact-policy-*"))
     assert set(failures) == {errno.EMFILE}
     assert 4 < len(failures) < 40

@@ -33,6 +33,10 @@ class PrivateFolder:
 
 def remove_folder(path: Path) -> None:
     """Remove the folder of a policy, whatever that made in it."""
+    with suppress(OSError):
+        # This needs no file descriptor, where too many may be open.
+        path.rmdir()
+        return
     # A tree deeper than Python's stack raises, and a folder without the right to list it stays.
     with suppress(RecursionError):
         shutil.rmtree(path, ignore_errors=True)
@@ -49,7 +53,13 @@ def private_folder() -> PrivateFolder:
         path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_place()))
         # Between making and locking the folder, another harness may have removed it as an abandoned one.
         with suppress(FileNotFoundError, BlockingIOError):
-            made = PrivateFolder(path=path, lock=_locked(path))
+            try:
+                made = PrivateFolder(path=path, lock=_locked(path))
+            except OSError as error:
+                # Too many open files, for example: nobody would know this folder as abandoned before the next command.
+                if not isinstance(error, FileNotFoundError | BlockingIOError):
+                    path.rmdir()
+                raise
             if path.is_dir():
                 return made
             made.remove()
