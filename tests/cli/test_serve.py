@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import socket
-from contextlib import ExitStack
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +24,7 @@ from carecontact.errors import ConfigError
 from carecontact.recording import read_recording
 from carecontact.trials.request import TrialRequest
 from tests.cli.test_run_and_demo import fake
+from tests.hosting.conftest import PREAMBLE
 from tests.hosting.served import WITHOUT_WAITING, served
 
 __all__ = ["fake"]
@@ -127,6 +133,53 @@ def test_a_client_that_says_nothing_takes_no_place(fake: pytest.MonkeyPatch, tmp
         socket.create_connection(("127.0.0.1", port)),
     ):
         assert main([*RUN, f"ws://127.0.0.1:{port}", "--set", "phases.first_call_deadline_s=8"]) == 0
+
+
+@contextmanager
+def a_server(tmp_path: Path, before: Callable[[], None] = lambda: None) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+    """A command that serves on a port. ``before`` runs in its process first."""
+    (tmp_path / "mine.py").write_text(PREAMBLE + "class P(Base): pass")
+    server = subprocess.Popen(
+        [sys.executable, "-m", "carecontact.cli", "serve", "mine:P", "--port", "0", "--at-once", "40"],
+        cwd=tmp_path, stdout=subprocess.PIPE, text=True, preexec_fn=before,
+    )  # fmt: skip
+    assert server.stdout is not None
+    try:
+        yield int(server.stdout.readline().rsplit(" ", 1)[1]), server
+    finally:
+        server.kill()
+        server.wait()
+        server.stdout.close()
+
+
+def test_a_server_whose_lines_nobody_reads_any_more_goes_on(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with a_server(tmp_path) as (port, server):
+        assert server.stdout is not None
+        server.stdout.close()
+        for _ in range(2):  # Each asks the server for the policy's card.
+            assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 0
+        assert server.poll() is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts descriptors in /proc")
+def test_a_server_without_descriptors_says_so_and_serves_later(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def few() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
+
+    with a_server(tmp_path, few) as (port, server):
+        held = len(os.listdir(f"/proc/{server.pid}/fd"))
+        with ExitStack() as open_:
+            for _ in range(45):
+                open_.enter_context(socket.create_connection(("127.0.0.1", port))).sendall(b"G")
+            time.sleep(3.0)
+        until = time.monotonic() + 20.0
+        while len(os.listdir(f"/proc/{server.pid}/fd")) > held and time.monotonic() < until:
+            time.sleep(0.1)
+        assert len(os.listdir(f"/proc/{server.pid}/fd")) == held
+        assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 0
+        assert server.stdout is not None
+        server.kill()
+        assert "no connection is accepted for 1 s: Too many open files" in server.stdout.read()
 
 
 @pytest.mark.parametrize(

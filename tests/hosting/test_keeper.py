@@ -127,54 +127,47 @@ def test_processes_that_fork_and_end_at_once_do_not_outrun_it(folders: tuple[Pat
     assert beat.read_bytes() == last
 
 
-@pytest.mark.parametrize("number", ["9", "15"])
-def test_they_go_with_a_harness_that_is_killed_and_so_does_the_policys_folder(
-    folders: tuple[Path, Path], tmp_path: Path, number: str
-) -> None:
-    (tmp_path / "temporary").mkdir()
-    code = (
-        "import os, sys, time; sys.path[:0] = sys.argv[1:3]\n"
-        "from tests.hosting.test_keeper import Path, process\n"
-        "made = process(Path(sys.argv[3])); made.start()\n"
-        "os.kill(os.getpid(), int(sys.argv[4]))"
-    )
-    places = [str(Path(carecontact.__file__).parents[1]), str(Path(__file__).parents[2])]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *places, str(folders[0]), number],
-        env={
-            **os.environ,
-            "TMPDIR": str(tmp_path / "temporary"),
-        },
-        check=False,
-    )
-    assert done.returncode == -int(number)
-    assert (folders[0] / "told").exists()
-    assert soon(lambda: not alive(folders[0])), described(int((folders[0] / "told").read_text()))
-    assert soon(lambda: not list((tmp_path / "temporary").iterdir()))
-
-
-def test_the_policys_folder_goes_although_the_harness_ends_while_it_closes_the_policy(
-    folders: tuple[Path, Path], tmp_path: Path
-) -> None:
-    (tmp_path / "temporary").mkdir()
+def harness(folder: Path, temporary: Path, end: str) -> int:
+    """Run another process that starts the policy of this folder as ``made`` and then runs the code ``end``."""
+    temporary.mkdir(exist_ok=True)
     code = (
         "import os, sys, threading, time; sys.path[:0] = sys.argv[1:3]\n"
         "from tests.hosting.test_keeper import Path, process\n"
-        "made = process(Path(sys.argv[3])); made.start()\n"
-        "threading.Thread(target=made.close).start(); time.sleep(float(sys.argv[4])); os._exit(0)"
+        f"made = process(Path(sys.argv[3])); made.start(); {end}"
     )
     places = [str(Path(carecontact.__file__).parents[1]), str(Path(__file__).parents[2])]
-    for pause_s in (0.0, 0.01, 0.03, 0.1):
-        subprocess.run(
-            [sys.executable, "-c", code, *places, str(folders[0]), str(pause_s)],
-            env={**os.environ, "TMPDIR": str(tmp_path / "temporary")}, check=True,
-        )  # fmt: skip
-        assert soon(lambda: not list((tmp_path / "temporary").iterdir())), pause_s
+    command = [sys.executable, "-c", code, *places, str(folder)]
+    return subprocess.run(command, env={**os.environ, "TMPDIR": str(temporary)}, check=False).returncode
 
 
+@pytest.mark.parametrize("number", [9, 15])
+def test_they_go_with_a_harness_that_is_killed_and_so_does_the_policys_folder(
+    folders: tuple[Path, Path], tmp_path: Path, number: int
+) -> None:
+    temporary = tmp_path / "temporary"
+    assert harness(folders[0], temporary, f"os.kill(os.getpid(), {number})") == -number
+    assert (folders[0] / "told").exists()
+    assert soon(lambda: not alive(folders[0])), described(int((folders[0] / "told").read_text()))
+    assert soon(lambda: not list(temporary.iterdir()))
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.01, 0.03, 0.1])
+def test_the_policys_folder_goes_although_the_harness_ends_while_it_closes_the_policy(
+    folders: tuple[Path, Path], tmp_path: Path, pause_s: float
+) -> None:
+    temporary = tmp_path / "temporary"
+    end = f"threading.Thread(target=made.close).start(); time.sleep({pause_s}); os._exit(0)"
+    assert harness(folders[0], temporary, end) == 0
+    assert soon(lambda: not list(temporary.iterdir()))
+
+
+@pytest.mark.parametrize("ignored", [False, True], ids=["blocked", "ignored"])
 @pytest.mark.parametrize("act", [11, 40])
-def test_how_a_policy_ended_is_told_although_the_caller_blocks_and_ignores_signals(launch: Launch, act: int) -> None:
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
+def test_how_a_policy_ended_is_told_although_the_caller_does_not_receive_sigchld(
+    launch: Launch, act: int, ignored: bool
+) -> None:
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [] if ignored else [signal.SIGCHLD])
+    handler = signal.signal(signal.SIGCHLD, signal.SIG_IGN if ignored else signal.SIG_DFL)
     try:
         made = launch(f"""
             class P(Base):
@@ -185,6 +178,7 @@ def test_how_a_policy_ended_is_told_although_the_caller_blocks_and_ignores_signa
         with pytest.raises(PolicyError, match=r"its process was killed by (SIGSEGV|signal 40)") as failure:
             made.reset("touch", SESSION)
     finally:
+        signal.signal(signal.SIGCHLD, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     assert failure.value.kind == "died"
 

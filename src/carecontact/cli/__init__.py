@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status. Errors that the user can fix give one message and status 2."""
     if arguments is None:
         arguments = sys.argv[1:]
-        # Whoever started this command may ignore the signal, and then the ends of processes are not told.
+        # The program that started this command may ignore SIGCHLD. The kernel would then report no exit status.
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         adopt_orphans()
     arguments = list(arguments)

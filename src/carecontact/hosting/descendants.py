@@ -77,11 +77,10 @@ def claim_children() -> None:
 
 
 def kill_adopted() -> None:
-    """Kill the processes of policies that this process has adopted because their keeper is gone; it has adopted none
-    unless it called ``adopt_orphans``.
+    """Kill the processes of policies that this process adopted when their keeper died, for PATIENCE_S at most.
 
-    Those are all its children if it called ``claim_children``; otherwise, its children that are bound by more filters
-    of system calls than this process is: isolation gives a policy such a filter, which nothing removes.
+    After ``claim_children``, these are all children of this process. Otherwise, they are the children with more filters
+    of system calls than this process has: isolation gives a policy's process such a filter, and nothing removes it.
     """
     if _all_children:
         kill_children({})
@@ -107,10 +106,11 @@ def _filters(process: str) -> int:
 
 
 def kill_children(statuses: dict[int, int | None]) -> None:
-    """Kill, by SIGKILL, all children of this process and all that it adopts meanwhile, until there are none.
+    """Send SIGKILL to all children of this process, and to those that it adopts meanwhile, until none is left or
+    PATIENCE_S is over.
 
-    It must have adopted orphans from the beginning. Then a descendant becomes its child when its own parent ends, and
-    none escapes.
+    Call it only in a process that called ``adopt_orphans`` before it started any other. Every descendant then becomes
+    a child of this process when its own parent ends.
 
     Args:
         statuses: see ``reap``.

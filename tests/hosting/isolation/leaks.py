@@ -87,7 +87,7 @@ def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[]
         "processor time of all processes, to a nanosecond": lambda: os.listdir("/sys/fs/cgroup"),
         "processor time of all processes": Path("/proc/stat").read_text,
         "how many processes run": Path("/proc/loadavg").read_text,
-        "be told of processes that start and end": lambda: socket.socket(
+        "receive messages about processes that start and end": lambda: socket.socket(
             socket.AF_NETLINK, socket.SOCK_DGRAM, PROCESS_CONNECTOR
         ).close(),
         "find the run's folder among its options": _named_folders,

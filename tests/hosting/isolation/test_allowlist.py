@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from carecontact.hosting.isolation import allowlist
 from carecontact.hosting.isolation.allowlist import SYSTEM, rights, without
 from carecontact.hosting.isolation.landlock import READ, READ_FILE, WRITE, WRITE_FILE
 
@@ -35,6 +36,26 @@ def test_a_folder_without_what_is_closed_in_it(folder: Path) -> None:
     assert list(without(str(folder), ["/elsewhere"])) == [str(folder)]
     assert list(without(str(folder / "runs" / "now" / "x"), [str(folder / "runs" / "now")])) == []
     assert list(without("/", ["/"])) == []
+
+
+def test_the_clocks_of_others_are_left_out_and_limits_stay_readable(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in ("sys/cpu0/cpuidle", "sys/cpu1/cpuidle", "sys/cpu0/topology", "sys/group"):
+        (folder / place).mkdir(parents=True)
+    for name in ("sys/group/cpu.max", "sys/group/cpu.stat"):
+        (folder / name).touch()
+    monkeypatch.setattr(allowlist, "SYSTEM", (f"{folder}/sys",))
+    monkeypatch.setattr(allowlist, "CLOCKS", (f"{folder}/sys/cpu*/cpuidle", f"{folder}/sys/group"))
+    monkeypatch.setattr(allowlist, "LIMITS", (f"{folder}/sys/group/cpu.max", f"{folder}/sys/group/memory.max"))
+    found = asked(folder, search_path=[])
+    here = {path.removeprefix(f"{folder}/sys/") for path in found if path.startswith(f"{folder}/sys")}
+    assert here == {"cpu0/topology", "group/cpu.max"}
+
+
+def test_the_machines_counters_of_processor_time_are_among_the_clocks_or_not_named() -> None:
+    named = {*allowlist.SYSTEM, *allowlist.PROCESS}
+    assert not {"/proc", "/proc/stat", "/proc/uptime", "/proc/loadavg", "/proc/pressure", "/proc/schedstat"} & named
 
 
 def test_a_policy_reads_its_folder_its_arguments_and_the_interpreter(folder: Path, tmp_path: Path) -> None:

@@ -3,8 +3,8 @@
 With these calls a policy could act on the trial's process or watch it, because both belong to the same user. It could
 set that process's resource limits, so that the kernel kills it; lower its priority at the disk; take a lease on a file
 that the next trial opens, so that the trial waits for 45 s and tells that it opened the file; watch which files the
-harness makes; read how much processor time that process has used, which is more in contact; or be told by the kernel
-when processes start and end (the process connector, a socket).
+harness makes; read how much processor time that process has used, which is more in contact; or receive the kernel's
+messages about processes that start and end (the process connector, a netlink socket).
 
 Numbers are those of linux/seccomp.h, linux/filter.h, linux/audit.h and of each architecture's table of system calls."""
 
