@@ -146,3 +146,7 @@ class RecordingError(CarecontactError):
 
 class StorageError(CarecontactError):
     pass
+
+
+class ExhaustedError(CarecontactError):
+    """The machine, or the limit of this user, leaves no process, thread or memory for the harness's own work."""

@@ -171,6 +171,6 @@ def test_a_command_that_starts_a_policy_itself_finds_what_a_killed_keeper_leaves
     assert len(mine) == 4
     os.kill(keeper, signal.SIGABRT)
     said = check.communicate(timeout=60)[0].decode()
-    assert "its process was killed without an answer, because its keeper was killed by SIGABRT" in said
+    assert "its process was killed without an answer, because the process that watches it was killed by SIGABRT" in said
     assert not [described(pid) for pid in mine if _alive(pid)]
     assert not list((tmp_path / "temporary").iterdir())

@@ -40,5 +40,15 @@ def test_what_was_meant_comes_from_the_files_without_importing_them(tmp_path: Pa
     assert meant(typed, tmp_path) == told
 
 
+def test_a_file_of_another_folder_is_named_with_it(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "mine.py").write_text("class Own:\n    def act(self, o): ...\n")
+    told = f" (did you mean mine:Own, given in the folder {tmp_path.resolve()}?)"
+    for typed in ("../mine.py", "../mine.py:Own", str(tmp_path / "mine.py")):
+        assert meant(typed, tmp_path / "here") == told
+    assert meant(str(tmp_path / "mine.py"), tmp_path) == " (did you mean mine:Own?)"
+    assert meant("../none.py", tmp_path / "here") == ""
+
+
 def test_a_file_that_is_not_there_has_no_classes(tmp_path: Path) -> None:
     assert classes(tmp_path / "gone.py") == []

@@ -61,12 +61,8 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     assert Path("ran.txt").read_text().split()[::2].count("T1-s000") == 1
 
 
-def test_a_recording_that_is_damaged_inside_is_run_again_at_once(
-    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r"]
-    assert main(command) == 0
-    path, results = Path("r/T1-s000.h5"), Path("r/results.json").read_text()
+def spoil(path: Path) -> None:
+    """Change a byte that ``read_recording`` alone reads."""
     whole = path.read_bytes()
     for place in range(len(whole) // 4, len(whole), 101):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
@@ -75,20 +71,53 @@ def test_a_recording_that_is_damaged_inside_is_run_again_at_once(
             try:
                 read_recording(path)
             except RecordingError:
-                break
-    else:
-        pytest.fail("no byte is read by read_recording alone")
+                return
+    pytest.fail("there is no such byte")
+
+
+def test_a_recording_that_is_damaged_inside_is_run_again_at_once(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r"]
+    assert main(command) == 0
+    path, results = Path("r/T1-s000.h5"), Path("r/results.json").read_text()
+    spoil(path)
     capsys.readouterr()
     assert main(command) == 0
     told = capsys.readouterr().out
     before, line, after = told.partition("\ndamaged recordings, whose trials run again: T1-s000\n")
     assert line
-    assert "differ" not in after
-    assert "skipped" in before
-    assert "skipped" not in after
+    assert not {"differ", "skipped"} & set(told.replace(":", " ").split())
+    assert "scores: " not in before
+    assert after.count("scores: ") == 1
     read_recording(path)
     assert Path("ran.txt").read_text().split()[::2].count("T2-s000") == 1
     assert json.loads(Path("r/results.json").read_text())["trials"] == json.loads(results)["trials"]
+
+
+def test_what_ran_before_a_damaged_recording_was_found_is_told_too(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1,T2,T3", "--seeds", "0", "--out", "r", "--json"]
+    assert main(command) == 0
+    spoil(Path("r/T1-s000.h5"))
+    Path("r/T2-s000.h5").unlink()
+    fake.setenv("FAKE_PLAN", json.dumps({"T2-s000": "policy"}))
+    capsys.readouterr()
+    assert main([*command, "--retry-failed"]) == 3
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (sorted(last["ran"]), last["kept"]) == (["T1-s000", "T2-s000"], ["T3-s000"])
+    assert sorted(last["ended"]) == ["T1-s000", "T2-s000", "T3-s000"]
+    ran = Path("ran.txt").read_text().split()[::2]
+    assert [ran.count(f"T{n}-s000") for n in (1, 2, 3)] == [2, 2, 1]
+
+
+def test_a_run_whose_only_recording_is_damaged_inside_runs_it_again(fake: pytest.MonkeyPatch) -> None:
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    assert main(command) == 0
+    spoil(Path("r/T1-s000.h5"))
+    assert main(command) == 0
+    read_recording(Path("r/T1-s000.h5"))
 
 
 def test_a_trial_that_ran_is_scored_once(fake: pytest.MonkeyPatch) -> None:

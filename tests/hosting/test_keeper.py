@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 import carecontact
-from carecontact.errors import PolicyError
-from carecontact.hosting.process import PolicyProcess
+from carecontact.errors import ExhaustedError, PolicyError
+from carecontact.hosting.process import _BOOTSTRAP, PolicyProcess  # pyright: ignore[reportPrivateUsage]
 from carecontact.hosting.setup import PolicySetup
 from tests.hosting.conftest import CHAIN, PREAMBLE, Launch
 from tests.policies.synthetic import SESSION
@@ -200,7 +200,7 @@ def test_a_lost_keeper_is_a_kill_that_nobody_books_at_once(launch: Launch, numbe
         os.kill(int(made.printed), number)
 
     threading.Thread(target=kill).start()
-    with pytest.raises(PolicyError, match=f"because its keeper was killed by {signal.Signals(number).name}") as failure:
+    with pytest.raises(PolicyError, match=f"that watches it was killed by {signal.Signals(number).name}") as failure:
         made.reset("touch", SESSION)
     assert failure.value.kind == "killed"
 
@@ -248,3 +248,68 @@ def test_a_harness_without_descriptors_says_so_and_keeps_none(
         assert not list(tmp_path.glob("carecontact-policy-*"))
     assert set(failures) == {errno.EMFILE}
     assert 4 < len(failures) < 40
+
+
+MANY = 60_000
+
+
+def test_many_files_that_a_policy_leaves_hold_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They go on being removed beside what comes next, and nobody removes them twice."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "mine.py").write_text(
+        PREAMBLE
+        + f"""
+import tempfile
+class P(Base):
+    def __init__(self, *, then):
+        pass
+    def reset(self, instruction):
+        for n in range({MANY}):
+            os.mkdir(f"{{tempfile.gettempdir()}}/{{n}}")
+"""
+    )
+    made = process(tmp_path)
+    made.start()
+    made.reset("touch", SESSION)
+    (left,) = (tmp_path / "temporary").iterdir()
+    again = list[object]()
+    monkeypatch.setattr("carecontact.hosting.isolation.private_folder._remover", again.append)
+    began = time.monotonic()
+    made.close()
+    with process(tmp_path, deadline_s=20.0) as another:
+        another.start()
+    assert time.monotonic() - began < 10.0
+    assert not again
+    assert soon(lambda: not left.exists(), within_s=60.0)
+
+
+def test_a_policy_that_ends_before_its_keeper_watches_is_noticed(launch: Launch) -> None:
+    """A signal of its end that comes before the handler wakes nobody."""
+    for when in ("-1", "fork"):
+        code = f"""
+import os, signal, sys
+from carecontact.hosting import keeper
+told, lifeline = os.pipe()
+policy = os.fork()
+if policy == 0:
+    os._exit(7)
+if {when!r} == "fork":
+    os.waitid(os.P_PID, policy, os.WEXITED | os.WNOWAIT)
+statuses = {{policy: None}}
+signal.alarm(20)
+keeper._wait(policy, told, statuses)
+print(statuses[policy])
+"""
+        assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "7"
+
+
+def test_a_keeper_that_cannot_fork_is_no_failure_of_the_policy(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = "import os\ndef refused(): raise BlockingIOError(11, 'not now')\nos.fork = refused\n"
+    monkeypatch.setattr(
+        "carecontact.hosting.process._BOOTSTRAP",
+        _BOOTSTRAP.replace("keep(options)", f"{refused}keep(options)"),
+    )
+    made = launch("class P(Base): pass")
+    with pytest.raises(ExhaustedError, match="its fork failed"):
+        made.start()

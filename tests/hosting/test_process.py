@@ -2,11 +2,14 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import hashlib
 import json
+import os
 import re
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +22,9 @@ from websockets.sync.client import connect
 
 import carecontact
 from carecontact.contract.policy_ref import PolicyRef
-from carecontact.errors import ObservationError, PolicyError
+from carecontact.errors import ExhaustedError, ObservationError, PolicyError
+from carecontact.hosting import process as harness_process
+from carecontact.hosting.alarms import Alarms
 from carecontact.hosting.isolation.fence import available
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
@@ -262,6 +267,99 @@ def test_a_policy_that_hangs_is_asked_for_its_stack(launch: Launch) -> None:
         str(caught.value),
     ), str(caught.value)
     assert _children() == []
+
+
+@pytest.mark.parametrize("then", ["time.sleep(60)", "os.closerange(0, 64); time.sleep(60)"], ids=["hangs", "closes"])
+def test_a_policy_that_writes_on_and_on_where_its_stack_belongs_holds_nobody(launch: Launch, then: str) -> None:
+    process = launch(
+        f"""
+        class P(Base):
+            def reset(self, instruction):
+                pipes = [n for n in range(3, 64) if os.path.exists(f"/proc/self/fd/{{n}}")]
+                kept = [os.dup(n) for n in pipes if os.readlink(f"/proc/self/fd/{{n}}").startswith("pipe:")]
+                kept = [os.dup2(n, 100 + n) for n in kept]
+                if os.fork() == 0:
+                    while True:
+                        for pipe in kept:
+                            os.write(pipe, b"x")
+                        time.sleep(0.03)
+                {then}
+        """,
+        first_deadline_s=3.0,
+    )
+    process.start()
+    began = time.monotonic()
+    with pytest.raises(PolicyError):
+        process.reset("touch", SESSION)
+    assert time.monotonic() - began < 3.0 + 4.0
+    assert _children() == []
+
+
+def _no_thread(thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def test_a_call_under_a_deadline_needs_no_further_thread(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A policy can take all that its user may have."""
+    process = launch(
+        """
+        class P(Base):
+            def act(self, observation):
+                time.sleep(60 if observation.sim_time_s else 0)
+                return Action()
+        """,
+        deadline_s=0.5,
+    )
+    alarms, ready = [Alarms(), Alarms()], list[bool]()
+    for name, made in zip(("DEADLINES", "REPORTS"), alarms, strict=True):
+        monkeypatch.setattr(f"carecontact.hosting.conversation.{name}", made)
+    monkeypatch.setattr("carecontact.hosting.wire.connection.DEADLINES", alarms[0])
+
+    def launched(given: PolicySetup) -> dict[str, str]:
+        ready.append(all(made.runs for made in alarms))
+        return environment(given)
+
+    environment = harness_process._environment  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(harness_process, "_environment", launched)
+    process.on_wait = lambda line: None
+    process.start()
+    assert ready[0], "the policy may have taken all before they start"
+    monkeypatch.setattr(threading.Thread, "start", _no_thread)
+    process.reset("touch", SESSION)
+    process.act(synthetic_observation())
+    with pytest.raises(PolicyError, match=r"no actions message within 0\.5 s"):
+        process.act(synthetic_observation(sim_time_s=0.1))
+
+
+def _no_process(*given: object, **more: object) -> None:
+    raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+
+@pytest.mark.parametrize(
+    ("made", "method", "refused"),
+    [(threading.Thread, "start", _no_thread), (subprocess.Popen, "_execute_child", _no_process)],
+    ids=["thread", "process"],
+)
+def test_a_policy_is_not_blamed_for_what_the_harness_does_not_get(
+    launch: Launch,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    made: type,
+    method: str,
+    refused: Callable[..., None],
+) -> None:
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    launch("class P(Base): pass").start()  # The threads of the deadlines.
+    process, kept = launch("class P(Base): pass"), set(Path("/proc/self/fd").iterdir())
+    folders = set((tmp_path / "temporary").iterdir())
+    with monkeypatch.context() as patch:
+        patch.setattr(made, method, refused)
+        with pytest.raises(ExhaustedError, match="the policy's process could not be started: "):
+            process.start()
+    assert len(set(Path("/proc/self/fd").iterdir())) == len(kept)
+    assert set((tmp_path / "temporary").iterdir()) == folders
+    process.close()
 
 
 def test_a_traceback_is_the_policys_own(launch: Launch) -> None:

@@ -131,6 +131,16 @@ def main() -> int:
         assert request.told_fd is not None
         os.write(request.told_fd, POLICY_RUNS)
         time.sleep(600)
+    elif does in ("lack", "lack_with_policy"):
+        from carecontact.recording import write_recording
+        from carecontact.recording.schema import EXHAUSTED
+        from carecontact.trials.failed import harness_error_recording
+        from carecontact.trials.told import POLICY_RUNS
+
+        assert request.told_fd is not None
+        if does == "lack_with_policy":
+            os.write(request.told_fd, POLICY_RUNS)
+        write_recording(harness_error_recording(spec, kind=EXHAUSTED, message="no thread is left\n\nTrace"), out)
     elif does == "beside":
         # Another command begins a run.
         (out.parents[3] / "later").mkdir()

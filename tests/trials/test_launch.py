@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -167,3 +167,24 @@ def test_no_module_that_a_worker_needs_starts_a_thread_when_it_is_imported() -> 
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_server_that_cannot_fork_says_so_and_goes_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What it forked before does not end with it."""
+    code = (
+        "import os; forks, fork = [], os.fork\n"
+        "def some():\n"
+        "    forks.append(0)\n"
+        "    if len(forks) == 2: raise BlockingIOError(11, 'Resource temporarily unavailable')\n"
+        "    return fork()\n"
+        "os.fork = some\n"
+        "from carecontact.trials.fork_server import main; main()"
+    )
+    monkeypatch.setattr("carecontact.trials.launch.SERVER_COMMAND", (sys.executable, "-P", "-c", code))
+    with closing(Launcher()) as launcher:
+        one, _ = start(launcher, tmp_path / "one.h5")
+        with pytest.raises(BlockingIOError):
+            start(launcher, tmp_path / "two.h5")
+        three, _ = start(launcher, tmp_path / "three.h5")
+        assert isinstance(three, ForkedProcess)
+        assert (one.wait(), three.wait()) == (0, 0)

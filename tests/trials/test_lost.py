@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 import subprocess
 import sys
@@ -11,10 +13,13 @@ import numpy as np
 import pytest
 
 from carecontact.contract.action import Action
+from carecontact.errors import ExhaustedError
 from carecontact.recording import Recording, read_recording
 from carecontact.recording.reader import read_verified
 from carecontact.trials import lost
+from carecontact.trials.launch import Launcher, Process
 from carecontact.trials.lost import OTHER_ANSWERS, digest_of
+from carecontact.trials.request import TrialRequest
 from tests.trials.test_supervisor import Bench, specs
 
 FIRST, SECOND = "T1-s000", "T1-s001"
@@ -36,6 +41,56 @@ def test_a_policy_that_was_killed_once_is_repeated_and_told(bench: Bench) -> Non
     assert kind(bench.recording(FIRST)) == ("done", None)
     told = [event.message for event in bench.events if event.kind == "redo"]
     assert told == ["policy 'x' failed at act: its process was killed by SIGKILL"]
+
+
+def test_a_policy_that_leaves_its_trial_without_a_thread_twice_has_failed(bench: Bench) -> None:
+    """Else it could take a bad trial out of the count."""
+    bench.run(
+        specs(2), {FIRST: ["lack_with_policy:ab", "lack_with_policy:ab"], SECOND: ["lack_with_policy:ab", "good"]}
+    )
+    assert bench.ran() == [FIRST, FIRST, SECOND, SECOND]
+    assert kind(bench.recording(FIRST)) == ("process_failure", "killed")
+    failure = bench.recording(FIRST).header.failure
+    assert failure is not None
+    assert failure.message.startswith("no thread is left while the policy was running, in both attempts\n")
+    assert kind(bench.recording(SECOND)) == ("done", None)
+    bench.run(specs(1), {FIRST: ["lack_with_policy:ab", "good:xy"]})
+    assert kind(bench.recording(FIRST)) == ("process_failure", OTHER_ANSWERS), "its second try would be another one"
+
+
+def test_a_trial_that_cannot_begin_waits_for_the_others(bench: Bench) -> None:
+    summary = bench.run(specs(2), {FIRST: "slow", SECOND: ["lack", "lack", "good"]})
+    assert set(summary.ended.values()) == {"done"}
+    assert bench.ran() == [FIRST, *[SECOND] * 3]
+    said = {event.message for event in bench.events if event.kind == "waiting"}
+    assert said == {"cannot begin yet: no thread is left"}
+
+
+def test_a_run_whose_trials_cannot_begin_for_long_stops(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carecontact.trials.supervisor.LACKING_ALONE_S", 0.5)
+    monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
+    told = r"the run stops with 1 of 2 trials done: a trial could not begin: no thread is left; end other programs"
+    with pytest.raises(ExhaustedError, match=told):
+        bench.run(specs(2), {SECOND: "lack"}, jobs=1)
+    assert not (bench.out / f"{SECOND}.h5").exists()
+    assert set(bench.run(specs(2)).ended.values()) == {"done"}
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
+    whole, tried = Launcher.start, list[str]()
+
+    def start(self: Launcher, request: TrialRequest, *, log: Path) -> Process:
+        tried.append(request.spec.trial_id)
+        if len(tried) < 4:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        return whole(self, request, log=log)
+
+    monkeypatch.setattr(Launcher, "start", start)
+    held = len(os.listdir("/proc/self/fd"))
+    assert bench.run(specs(1)).ended == {FIRST: "done"}
+    assert tried == [FIRST] * 4
+    assert len(os.listdir("/proc/self/fd")) == held
 
 
 def test_a_policy_that_is_killed_twice_has_failed_until_the_command_is_given_again(bench: Bench) -> None:

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import errno
+import subprocess
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -82,3 +85,22 @@ def test_a_scoring_process_that_dies_costs_one_score(folder: Path) -> None:
         assert scorer.score_of(folder / "T2-s000.h5") is not None
         (process,) = set(psutil.Process().children()) - before
     assert not process.is_running()
+
+
+@pytest.mark.parametrize("trials", [1, FEW], ids=["thread", "processes"])
+def test_where_nothing_can_be_started_it_is_scored_later(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, trials: int
+) -> None:
+    def refused(*given: object, **more: object) -> None:
+        raise RuntimeError("can't start new thread") if trials == 1 else BlockingIOError(errno.EAGAIN, "no process")
+
+    path = folder / "T1-s000.h5"
+    with closing(Scorer(1, trials=trials)) as scorer:
+        with monkeypatch.context() as patch:
+            if trials == 1:
+                patch.setattr(threading.Thread, "start", refused)
+            else:
+                patch.setattr(subprocess.Popen, "_execute_child", refused)
+            scorer.give(path)
+            assert scorer.take(path) is None
+        assert scorer.score_of(path) is not None

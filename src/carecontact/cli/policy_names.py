@@ -17,6 +17,12 @@ def meant(policy: str, folder: Path) -> str:
         folder: where modules are looked for first.
     """
     dotted, _, wanted = policy.partition(":") if ":" in policy else _last_part(policy)
+    if dotted.endswith(".py"):
+        file = (folder / dotted).resolve()
+        if not file.is_relative_to(folder.resolve()):
+            names = " or ".join(f"{file.stem}:{name}" for name in classes(file)[:3])
+            return f" (did you mean {names}, given in the folder {file.parent}?)" if names else ""
+        dotted = str(file.relative_to(folder.resolve()))
     place, _, module = dotted.removesuffix(".py").replace("/", ".").lstrip(".").rpartition(".")
     folder = folder.joinpath(*place.split("."))
     close = difflib.get_close_matches(module, sorted(path.stem for path in folder.glob("*.py")), n=1)

@@ -29,26 +29,42 @@ def rescore(
     allow_missing: bool = True,
     scored: Callable[[Path], ScoredFile | None] = lambda path: None,
 ) -> RunScores:
-    """Score every recording, write results.json and print the table.
+    """Score every recording as ``scores_of`` does, and write and print it as ``publish`` does."""
+    run = scores_of(folder, jobs=jobs, scored=scored)
+    publish(folder, run, compare=compare, allow_missing=allow_missing)
+    return run
 
-    Where nothing could be scored, results.json stays as it is.
+
+def scores_of(
+    folder: Path, *, jobs: int | None = None, scored: Callable[[Path], ScoredFile | None] = lambda path: None
+) -> RunScores:
+    """Score every recording; write and print nothing.
 
     Args:
-        compare: whether to print what differs from the earlier results.json.
         jobs: processes; default: as many as pay.
-        allow_missing: whether to replace results.json although planned trials have no score.
         scored: the score that a recording has already got, or None to compute it.
     """
-    from carecontact.cli.changes import differences
-    from carecontact.runs import score_run, write_scores
+    from carecontact.runs import score_run
     from carecontact.runs.stored_scores import beside_plan
     from carecontact.trials.supervisor import check_jobs
 
     check_jobs(jobs)
     need_recordings(folder)
-    before = _results(folder) if compare else None
     many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
-    run = beside_plan(folder, score_run(folder, jobs=many, scored=scored))
+    return beside_plan(folder, score_run(folder, jobs=many, scored=scored))
+
+
+def publish(folder: Path, run: RunScores, *, compare: bool = True, allow_missing: bool = True) -> None:
+    """Write results.json and print the table. Where nothing could be scored, results.json stays as it is.
+
+    Args:
+        compare: whether to print what differs from the earlier results.json.
+        allow_missing: whether to replace results.json although planned trials have no score.
+    """
+    from carecontact.cli.changes import differences
+    from carecontact.runs import write_scores
+
+    before = _results(folder) if compare else None
     kept = not allow_missing and bool(run.missing) and (folder / RESULTS).is_file()
     path = write_scores(folder, run) if run.scores and not kept else None
     if path is not None:
@@ -62,7 +78,6 @@ def rescore(
         print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
     if path is not None:
         print(write_table(folder, run.scores))
-    return run
 
 
 def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:

@@ -152,12 +152,13 @@ class Run:
         cores = min(available_cores(), self.parallel.jobs or available_cores())
         with closing(Scorer(cores, trials=len(specs))) as scorer:
             more = {"card": card, "purpose": purpose, "whole": whole}
-            summary = self._trials(specs, setup, scorer, **more)
+            summary = self._trials(specs, setup, scorer, retry_failed=self.retry_failed, **more)
             scores = self._scores(summary, scorer)
             # Scoring alone reads every array; the run then repeats the trials of what scoring skipped as damaged.
             if scores and (damaged := [trial for trial in summary.kept if f"{trial}.h5" in scores.skipped]):
                 print(f"damaged recordings, whose trials run again: {', '.join(damaged)}", flush=True)
-                summary = self._trials(specs, setup, scorer, **more)
+                again = [spec for spec in specs if spec.trial_id in damaged]
+                summary = summary.followed_by(self._trials(again, setup, scorer, suspects=damaged, **more))
                 scores = self._scores(summary, scorer)
             status = self._finish(summary, scores) if scores else 0
         if self.output.json and summary.unreached is None:
@@ -182,7 +183,6 @@ class Run:
                 jobs=self.parallel.jobs,
                 engine=self.parallel.engine,
                 gpus=self.parallel.gpus,
-                retry_failed=self.retry_failed,
                 policy=setup,
                 weights=self.vision.weights and self.vision.weights.resolve(),
                 pace_s=self.pace,
@@ -198,20 +198,20 @@ class Run:
             say_trial(event, self.out, scorer)
 
     def _scores(self, summary: RunSummary, scorer: Scorer) -> RunScores | None:
-        """Score the recordings, write results.json and print the table; None if no trial has ended."""
-        from carecontact.cli.rescoring import rescore
+        """Score the recordings; None if no trial has ended."""
+        from carecontact.cli.rescoring import scores_of
 
-        if not summary.ended:
-            return None
-        # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-        return rescore(self.out, compare=not summary.ran, scored=scorer.take)
+        return scores_of(self.out, scored=scorer.take) if summary.ended else None
 
     def _finish(self, summary: RunSummary, scores: RunScores) -> int:
-        """Write the report, and return the exit status."""
+        """Write results.json and the report, print the table, and return the exit status."""
         from carecontact.cli.failed_trials import failed_status, print_failed
         from carecontact.cli.report_page import write_page
+        from carecontact.cli.rescoring import publish
         from carecontact.reports.text import clipped_text
 
+        # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
+        publish(self.out, scores, compare=not summary.ran)
         write_page(self.out, scores)
         print(f"a page for each trial: carecontact report {shlex.quote(str(self.out))} --trials")
         print_failed(summary.ended, out=self.out)

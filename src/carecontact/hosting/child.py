@@ -38,6 +38,8 @@ class Options(TypedDict):
     ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
     """Socket that only the keeper has. It reaches its end when the harness closes the other one or ends."""
+    lock_fd: int
+    """Descriptor of the lock on the policy's temporary folder, for the keeper."""
     harness_port: int
     """Port of the loopback interface from which the harness connects; connections from any other port are refused."""
     readable: list[str]

@@ -3,7 +3,6 @@ when one fails."""
 
 from __future__ import annotations
 
-import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
@@ -14,7 +13,8 @@ from typing import Self, TypeVar
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
-from carecontact.errors import PolicyError
+from carecontact.errors import ExhaustedError, PolicyError
+from carecontact.hosting.alarms import DEADLINES, REPORTS
 from carecontact.hosting.client import ActReply, Client
 
 GRACE_S = 1.0
@@ -95,10 +95,13 @@ class PolicyConversation(ABC):
         """Connect, and return the policy's card.
 
         Raises UnreachableError if no server accepts a connection; so do ``reset`` and the first ``act`` of a
-        conversation that is ``patient``.
+        conversation that is ``patient``; ExhaustedError if nothing of the policy has run, for want of a process or
+        thread.
         """
-        with self._evidence("start"), self._within(self._first_deadline_s) as left:
-            return self._carried_out(self._connect, left)
+        with self._evidence("start"):
+            _start_alarms()
+            with self._within(self._first_deadline_s) as left:
+                return self._carried_out(self._connect, left)
 
     def reset(self, instruction: str, session: Session) -> None:
         def step(left: Left) -> None:
@@ -196,22 +199,19 @@ class PolicyConversation(ABC):
 
     @contextmanager
     def _reported_wait(self, allowed_s: float) -> Generator[None, None, None]:
-        report, answered, started = self.on_wait, threading.Event(), time.monotonic()
+        report, started = self.on_wait, time.monotonic()
         if report is None:
             yield
             return
 
         def repeat() -> None:
-            while not answered.wait(WAIT_REPORT_S):
-                report(f"waiting for the policy: {time.monotonic() - started:.0f} of {allowed_s:.0f} s")
+            report(f"waiting for the policy: {time.monotonic() - started:.0f} of {allowed_s:.0f} s")
 
-        thread = threading.Thread(target=repeat, daemon=True)
-        thread.start()
+        alarm = REPORTS.set(WAIT_REPORT_S, repeat, every_s=WAIT_REPORT_S)
         try:
             yield
         finally:
-            answered.set()
-            thread.join()
+            alarm.cancel()
 
     @contextmanager
     def _evidence(self, doing: str) -> Generator[None, None, None]:
@@ -233,3 +233,12 @@ class PolicyConversation(ABC):
         except BaseException:
             self._drop()
             raise
+
+
+def _start_alarms() -> None:
+    """Start the threads of all deadlines and reports while there are threads to be had: a policy may take the rest."""
+    try:
+        for alarms in (DEADLINES, REPORTS):
+            alarms.start()
+    except RuntimeError as error:
+        raise ExhaustedError(f"no thread for the deadlines of the policy's calls: {error}") from None

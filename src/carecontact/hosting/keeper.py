@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from carecontact.hosting.descendants import PATIENCE_S, kill_children, reap
 from carecontact.hosting.isolation.landlock import confine_signals
-from carecontact.hosting.isolation.private_folder import remove_folder
+from carecontact.hosting.isolation.private_folder import become_remover
 from carecontact.hosting.readable import readable
 from carecontact.hosting.stack import ASK
 from carecontact.own_process import adopt_orphans, die_with_parent, hide_memory
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 KEEPER_S = PATIENCE_S + 1.0
 """Longest wait [s] of the harness for a keeper that shall end."""
+NO_PROCESS = os.EX_OSERR
+"""Exit status of a keeper that cannot start the policy's process."""
 UNMOVED_BY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that whoever stops a command may send to all its processes. The keeper ends with the command anyway, and
 before that it has to kill what the policy started."""
@@ -41,9 +43,13 @@ def keep(options: Options) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     adopt_orphans()
     alone = options["isolated"] and confine_signals() and _refused(harness)
-    policy = os.fork()
+    try:
+        policy = os.fork()
+    except OSError:
+        os._exit(NO_PROCESS)
     if policy == 0:
-        os.close(options["lifeline_fd"])
+        for descriptor in (options["lifeline_fd"], options["lock_fd"]):
+            os.close(descriptor)
         os.setsid()
         die_with_parent(keeper)
         return
@@ -55,14 +61,18 @@ def keep(options: Options) -> None:
         _wait(policy, options["lifeline_fd"], statuses)
         _kill_all(policy, statuses, alone=alone)
         status = statuses[policy]
+        # The harness reads to the end of what the policy prints.
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for descriptor in (0, 1, 2):
+            os.dup2(nowhere, descriptor)
         with suppress(OSError):  # The harness may be gone.
             os.write(options["lifeline_fd"], str(-signal.SIGKILL if status is None else status).encode())
-        # Here and not in the harness alone, which may end at any moment.
-        remove_folder(Path(os.environ["TMPDIR"]))
+        os.close(options["lifeline_fd"])
+        # Here and not in the harness, which may end at any moment, and has other things to do if this takes long.
+        become_remover(Path(os.environ["TMPDIR"]))
     except BaseException:
         _pass_on(signal.SIGKILL, policy, statuses)
         raise
-    os._exit(0)
 
 
 def _refused(pid: int) -> bool:
@@ -82,7 +92,7 @@ def _wait(policy: int, lifeline: int, statuses: dict[int, int | None]) -> None:
     signal.signal(ASK, lambda *_: _pass_on(ASK, policy, statuses))
     for number in UNMOVED_BY:
         signal.signal(number, signal.SIG_IGN)
-    more = False
+    more = True  # The policy's process may have ended before the signal had its handler.
     while statuses[policy] is None:
         ready = readable([lifeline, woken], 0.0 if more else None)
         if lifeline in ready:

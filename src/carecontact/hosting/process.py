@@ -12,19 +12,20 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import carecontact
 from carecontact.cache_folder import cache_folder
-from carecontact.errors import PolicyError, StorageError
+from carecontact.errors import ExhaustedError, PolicyError, StorageError, UnreachableError
+from carecontact.exhausted import is_exhausted
 from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
 from carecontact.hosting.descendants import MARK, kill_adopted, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
-from carecontact.hosting.isolation.private_folder import PrivateFolder, private_folder
-from carecontact.hosting.keeper import KEEPER_S
+from carecontact.hosting.isolation.private_folder import REMOVAL_S, PrivateFolder, private_folder
+from carecontact.hosting.keeper import KEEPER_S, NO_PROCESS
 from carecontact.hosting.readable import readable
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
@@ -94,6 +95,7 @@ class PolicyProcess(PolicyConversation):
         self._folder: PrivateFolder | None = None
         self._stack: int | None = None
         self._output = b""
+        self._report: io.FileIO | None = None
         self._reader: threading.Thread | None = None
         self._watcher: threading.Thread | None = None
 
@@ -114,22 +116,22 @@ class PolicyProcess(PolicyConversation):
         """Return the stack of a launched policy that does not end although its connection is closed; empty if it
         ends.
         """
-        with suppress(subprocess.TimeoutExpired):
-            if self._child is not None:
-                self._child.wait(GRACE_S)
+        self._ended_within(GRACE_S)
         return self._shown(self._where("timeout"))
 
     def close(self) -> None:
-        if self._client is not None and self._child is not None and self._child.poll() is None:
+        if self._client is not None and not self._ended_within(0.0):
             self._client.say_goodbye(deadline_s=GRACE_S)
-            with suppress(subprocess.TimeoutExpired):
-                self._child.wait(GRACE_S)
+            self._ended_within(GRACE_S)
         self._drop()
 
     def _open(self, left: Left) -> PolicyClient:
         """Launch the process, let it import the policy, and connect."""
         port = self._launch(left)
-        return PolicyClient(Connection.open(port=port, deadline_s=left(), line=self._reached(port, left)))
+        try:
+            return PolicyClient(Connection.open(port=port, deadline_s=left(), line=self._reached(port, left)))
+        except UnreachableError as error:
+            raise PolicyError("died", str(error)) from None
 
     def _reached(self, port: int, left: Left) -> socket.socket:
         """Connect to the port where the policy listens, from the only port that it accepts."""
@@ -157,14 +159,18 @@ class PolicyProcess(PolicyConversation):
             ) from None
         self._line = socket.socket()
         self._line.bind(("127.0.0.1", 0))
-        with ExitStack() as theirs, ExitStack() as ours:
+        with ExitStack() as theirs:
             report_read, report_write = os.pipe()
+            self._report = os.fdopen(report_read, "rb", buffering=0)
             theirs.callback(os.close, report_write)
-            ours.callback(os.close, report_read)
             self._stack, stack_write = os.pipe()
             theirs.callback(os.close, stack_write)
             self._lifeline, lifeline = socket.socketpair()
             theirs.callback(lifeline.close)
+            options = _options(
+                self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline.fileno(), stack_fd=stack_write,
+                lock_fd=self._folder.lock, harness_port=self._line.getsockname()[1],
+            )  # fmt: skip
             # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a
             # set, and so a policy's answer, may differ from run to run.
             try:
@@ -176,30 +182,28 @@ class PolicyProcess(PolicyConversation):
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.STDOUT,
-                    pass_fds=(report_write, lifeline.fileno(), stack_write),
+                    pass_fds=(report_write, lifeline.fileno(), stack_write, self._folder.lock),
                     start_new_session=True,
                 )
             except OSError as error:
                 if error.errno in TOO_MANY_FILES:
                     raise
+                if is_exhausted(error):
+                    raise _exhausted(error) from None
                 raise PolicyError("start", f"no process could be started: {error}") from None
-            options = _options(
-                self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline.fileno(), stack_fd=stack_write,
-                harness_port=self._line.getsockname()[1],
-            )  # fmt: skip
-            ours.pop_all()
-        self._reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
-        self._watcher = threading.Thread(target=self._kill_left, args=(self._child, self._lifeline), daemon=True)
-        for thread in (self._reader, self._watcher):
-            thread.start()
-        # Not on the command line, which every user of the machine can read.
+        try:
+            self._reader = _started(self._drain, self._child)
+            self._watcher = _started(self._kill_left, self._child, self._lifeline.dup())
+        except RuntimeError as error:
+            raise _exhausted(error) from None
+        # Not on the command line, which every user of the machine can read. The policy's own code runs after this.
         assert self._child.stdin is not None
         with suppress(BrokenPipeError), self._child.stdin as stdin:
             stdin.write(json.dumps(options).encode())
-        return self._reported_port(report_read, left)
+        return self._reported_port(self._report, left)
 
-    def _reported_port(self, report_read: int, left: Left) -> int:
-        with os.fdopen(report_read, "rb", buffering=0) as report:
+    def _reported_port(self, report: io.FileIO, left: Left) -> int:
+        with report:
             lines = self._report_lines(report, left)
             try:
                 self.isolation = str(json.loads(next(lines))["isolation"])
@@ -230,6 +234,8 @@ class PolicyProcess(PolicyConversation):
                 )
             piece = report.read(65536)
             if not piece:
+                if self.isolation is None and self._child is not None and self._child.poll() == NO_PROCESS:
+                    raise _exhausted("its fork failed, as it does where no process or memory is left")
                 raise PolicyError("start", self._how_it_ended("before it was ready"))
             written += piece
             if len(written) > REPORT_BYTES:
@@ -256,12 +262,16 @@ class PolicyProcess(PolicyConversation):
                 return "killed"
         return error.kind
 
+    def _ended_within(self, time_s: float) -> bool:
+        """Wait for the end of the policy's process; also true if there is none."""
+        return self._lifeline is None or bool(readable([self._lifeline.fileno()], time_s))
+
     def _status(self) -> int | None:
         """Return the exit status of the policy's process, as ``subprocess.Popen.returncode``; None if its keeper ended
         without telling it. Raises TimeoutError if neither happens.
         """
         assert self._lifeline is not None
-        if not readable([self._lifeline.fileno()], GRACE_S):
+        if not self._ended_within(GRACE_S):
             raise TimeoutError
         return _told(self._lifeline)
 
@@ -273,13 +283,13 @@ class PolicyProcess(PolicyConversation):
         except TimeoutError:
             return f"it closed its connection {when}, and its process still runs"
         if code is None:
-            return f"its process was killed {when}, because its keeper {_ended_as(self._child.wait())}"
+            return f"its process was killed {when}, because the process that watches it {_ended_as(self._child.wait())}"
         return f"its process {_ended_as(code)} {when}" if code < 0 else f"its process {_ended_as(code, when)}"
 
     def _where(self, kind: str) -> str:
         if self._child is None or self._stack is None or kind not in ("timeout", "died", "start"):
             return ""
-        hangs = kind == "timeout" and self._child.poll() is None
+        hangs = kind == "timeout" and not self._ended_within(0.0)
         if hangs:
             self._child.send_signal(ASK)
         frames = read_stack(self._stack, patience_s=PATIENCE_S if hangs else 0.0)
@@ -297,27 +307,38 @@ class PolicyProcess(PolicyConversation):
         """Wait for the keeper's end, then do its work if it was killed: as long as a process that the policy started
         holds the connection, the policy's death would go unnoticed.
         """
+        with lifeline:
+            readable([lifeline.fileno()])
+            told = _told(lifeline)
         child.wait()
-        if _told(lifeline) is None:
+        if told is None:
             kill_marked(self._mark)
             kill_adopted()
 
     def _kill(self) -> None:
-        """Let the keeper kill the process and everything that the policy started."""
+        """Let the keeper kill the process and everything that the policy started, and remove its folder."""
         if self._child is None or self._lifeline is None:
             return
         with suppress(OSError):
             self._lifeline.shutdown(socket.SHUT_WR)
-        try:
-            self._child.wait(KEEPER_S)
-        except subprocess.TimeoutExpired:
+        if not self._ended_within(KEEPER_S):
             self._child.kill()
-        if self._watcher is not None:
+        told = _told(self._lifeline) is not None
+        with suppress(subprocess.TimeoutExpired):
+            self._child.wait(REMOVAL_S)
+        if self._watcher is not None and not told:
             self._watcher.join(KEEPER_S)
+        if self._folder is not None and told and self._child.poll() is None:
+            # It removes many files, and goes on with that alone.
+            self._folder.release()
+            self._folder = None
 
     def _drop(self) -> None:
         self._kill()
         self._child = None
+        if self._report is not None:
+            self._report.close()
+            self._report = None
         if self._lifeline is not None:
             self._lifeline.close()
             self._lifeline = None
@@ -333,6 +354,16 @@ class PolicyProcess(PolicyConversation):
             self._line.close()
             self._line = None
         super()._drop()
+
+
+def _started(work: Callable[..., None], *given: object) -> threading.Thread:
+    thread = threading.Thread(target=work, args=given, daemon=True)
+    thread.start()
+    return thread
+
+
+def _exhausted(why: object) -> ExhaustedError:
+    return ExhaustedError(f"the policy's process could not be started: {why}")
 
 
 def _told(lifeline: socket.socket) -> int | None:
@@ -352,7 +383,7 @@ def _ended_as(code: int, when: str = "") -> str:
 
 
 def _options(
-    setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int, harness_port: int
+    setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int, lock_fd: int, harness_port: int
 ) -> Options:
     return {
         "root": str(Path(carecontact.__file__).resolve().parents[1]),
@@ -363,6 +394,7 @@ def _options(
         "environment": list(setup.environment),
         "report_fd": report_fd,
         "lifeline_fd": lifeline_fd,
+        "lock_fd": lock_fd,
         "harness_port": harness_port,
         "readable": [os.path.abspath(place) for place in setup.readable],
         "writable": [os.path.abspath(place) for place in setup.writable],

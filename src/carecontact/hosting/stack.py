@@ -7,6 +7,7 @@ import importlib
 import os
 import re
 import signal
+import time
 from pathlib import Path
 
 import carecontact
@@ -18,6 +19,8 @@ PATIENCE_S = 1.0
 """Longest wait [s] for the stack; a process that was stopped by a signal gives none."""
 PAUSE_S = 0.1
 """If no further line comes for this time [s], the stack is complete."""
+WHOLE_S = 1.0
+"""Longest time [s] from the first line to the last: the policy can write there, too, and go on and on."""
 MOST_BYTES = 65536
 PLUMBING = tuple(f"{Path(carecontact.__file__).parent / folder}{os.sep}" for folder in ("hosting", "contract"))
 """Folders whose code calls every policy or checks its values, and therefore explains no mistake of a policy."""
@@ -45,8 +48,8 @@ def read_stack(fd: int, *, patience_s: float) -> str:
     Args:
         patience_s: how long to wait for the first of them.
     """
-    written, wait_s = b"", patience_s
-    while len(written) < MOST_BYTES and readable([fd], wait_s):
+    written, wait_s, until = b"", patience_s, time.monotonic() + patience_s + WHOLE_S
+    while len(written) < MOST_BYTES and time.monotonic() < until and readable([fd], wait_s):
         piece = os.read(fd, MOST_BYTES)
         if not piece:
             break

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -79,8 +79,13 @@ def runs_beside(out: Path) -> list[str]:
     return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
 
 
-def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity) -> Survey:
+def survey(
+    specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity, suspects: Collection[str] = ()
+) -> Survey:
     """Sort the wanted trials that have a file in ``out`` into those to keep and those to run again.
+
+    Args:
+        suspects: trials whose recording is read whole.
 
     Raises ConfigError when the folder holds a run of another policy, protocol or identity, or a damaged manifest.
     """
@@ -94,7 +99,7 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
     if manifest is not None:
         _check_manifest(manifest, specs[0], out=out, identity=identity)
     wanted = {spec.trial_id for spec in specs}
-    skipped = skipped_before(out)
+    skipped = {*skipped_before(out), *(f"{trial}.h5" for trial in suspects)}
     keep: dict[str, EndReason] = {}
     redo: dict[str, str] = {}
     killed = set[str]()
@@ -119,7 +124,7 @@ def survey(specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identit
         elif retry_failed and header.ended in FAILED:
             redo[path.stem] = ended_text(header.ended)
         elif _was_killed(header):
-            redo[path.stem] = "a process of it was killed by a signal"
+            redo[path.stem] = "a process of it was killed by a signal or could not be started"
             killed.add(path.stem)
         else:
             keep[path.stem] = header.ended

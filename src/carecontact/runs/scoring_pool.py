@@ -17,6 +17,8 @@ from pathlib import Path
 from threading import local
 from typing import TYPE_CHECKING
 
+from carecontact.exhausted import is_exhausted
+
 if TYPE_CHECKING:
     from carecontact.runs.score_files import ScoredFile
 
@@ -24,7 +26,7 @@ COMMAND = (sys.executable, "-P", "-m", "carecontact.runs.scoring_process")
 
 
 class ScoringLostError(Exception):
-    """A scoring process died; the next recording gets a new one."""
+    """A scoring process died or could not be started; the next recording gets a new one."""
 
 
 class ScoringPool:
@@ -50,7 +52,14 @@ class ScoringPool:
             then(found)
             return found
 
-        return self._threads.submit(score)
+        try:
+            return self._threads.submit(score)
+        except RuntimeError as error:
+            if not is_exhausted(error):
+                raise
+            lost: Future[ScoredFile | str] = Future()
+            lost.set_exception(ScoringLostError())
+            return lost
 
     def close(self) -> None:
         """Leave unscored what is not scored yet, and end the processes."""
@@ -68,13 +77,14 @@ class ScoringPool:
 
             return score_file(path)
         process: _Process | None = getattr(self._own, "process", None)
-        if process is None:
-            process = self._own.process = _Process()
-            self._started.append(process)
         try:
+            if process is None:
+                process = self._own.process = _Process()
+                self._started.append(process)
             return process.score(path)
         except (EOFError, OSError):
-            process.end()
+            if process is not None:
+                process.end()
             self._own.process = None
             raise ScoringLostError from None
 

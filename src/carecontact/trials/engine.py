@@ -26,6 +26,8 @@ class Ended:
     """Why no trial can begin: the policy's server could not be reached, or a package is missing."""
     unstored: str | None = None
     """Where there was no space for what the trial stores, and what to do; None: there was space."""
+    lacked: str | None = None
+    """Why the trial could not begin, if it got no process, thread or memory; it may be able to later."""
     lost: str | None = None
     """How the process or the node of the trial died, if the trial has to run once more; else empty."""
 

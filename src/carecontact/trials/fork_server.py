@@ -7,6 +7,7 @@ and hands them on. It has one thread and renders nothing, so that a fork leaves 
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import socket
@@ -23,7 +24,7 @@ from carecontact.trials import worker
 
 NEWS = struct.Struct("=q")
 """News of a worker, through a pipe of its own: its process id, then its exit status as
-``subprocess.Popen.returncode``."""
+``subprocess.Popen.returncode``; or, if it could not be forked, a negative number, the error's."""
 TOLD_FD = 3
 """The request's ``told_fd`` in a forked worker; the socket has this number in the server."""
 NEEDED = (
@@ -53,7 +54,13 @@ def main() -> None:
             message, given, _, _ = socket.recv_fds(line, 1, 4)
             if not message:
                 return
-            pid = os.fork()
+            try:
+                pid = os.fork()
+            except OSError as error:
+                os.write(given[-1], NEWS.pack(-(error.errno or errno.EAGAIN)))
+                for other in given:
+                    os.close(other)
+                continue
             if pid == 0:
                 line.detach()
                 for mine, news in alive.items():

@@ -88,7 +88,7 @@ class Launcher:
         return process
 
     def _forked(self, request: TrialRequest, log: Path) -> ForkedProcess:
-        """Raises ServerLostError."""
+        """Raises ServerLostError and OSError."""
         assert request.told_fd is not None
         server, line = self._serving()
         theirs, requests = os.pipe()
@@ -122,13 +122,14 @@ class Launcher:
 
 class ForkedProcess:
     def __init__(self, server: subprocess.Popen[bytes], news: int) -> None:
-        """``news``: descriptor to read from, which this object then owns. Raises ServerLostError."""
+        """``news``: descriptor to read from, which this object then owns. Raises ServerLostError, and OSError if the
+        server could not fork."""
         self.returncode: int | None = None
         self._server, self._news = server, news
         pid = self._next()
-        if pid is None:
+        if pid is None or pid < 0:
             os.close(news)
-            raise ServerLostError
+            raise ServerLostError if pid is None else OSError(-pid, os.strerror(-pid))
         self.pid = pid
 
     def poll(self) -> int | None:

@@ -1,9 +1,11 @@
-"""Trials whose process, or whose policy's process, a signal killed, and what their repetition must not change.
+"""Trials that lost their process, or their policy's, to a signal or to a machine that had no further process, thread or
+memory; and what their repetition must not change.
 
-Nobody can know who sent SIGKILL: the kernel without memory, an operator, or the policy itself. Therefore such a trial
-is repeated; but if the policy may have sent the signal, the repetition counts only if the policy answers as it did
-before, up to the answer at which the lost attempt ended. The simulation then is where it was, so that a policy which
-kills itself, to avoid a bad end, gets to the same place again and has learnt nothing on the way that it did not know.
+Nobody can know who sent SIGKILL: the kernel without memory, an operator, or the policy itself; nor who started so many
+processes that the trial could start none. Therefore such a trial is repeated; but if the policy may have caused it, the
+repetition counts only if the policy answers as it did before, up to the answer at which the lost attempt ended. The
+simulation then is where it was, so that a policy which kills itself, to avoid a bad end, gets to the same place again
+and has learnt nothing on the way that it did not know.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from carecontact.hosting.wire.codec import encode_actions
 from carecontact.hosting.wire.packing import pack
 from carecontact.recording import read_recording
 from carecontact.recording.reason import reason_of
-from carecontact.recording.schema import KILLED, POLICY_KILLED, Failure, Header, Recording
+from carecontact.recording.schema import EXHAUSTED, KILLED, POLICY_KILLED, Failure, Header, Recording
 from carecontact.trials.failed import harness_error_recording, killed_by_policy_recording
 
 STORED = "wall/answers"
@@ -56,8 +58,9 @@ class Lost:
     def answered_otherwise(self, spec: TrialSpec) -> Recording:
         """Return the recording of a trial whose repetition does not count: that of the attempt before it."""
         message = (
-            "a process of this trial was killed by a signal, and in the repetition the policy gave other answers than "
-            "before; a repetition counts only if it goes the same way as the attempt that was lost"
+            "a process of this trial was killed by a signal or could not be started, and in the repetition the policy "
+            "gave other answers than before; a repetition counts only if it goes the same way as the attempt that was "
+            "lost"
         )
         recording = self.recording or killed_by_policy_recording(spec, message=message)
         failure = Failure(kind=OTHER_ANSWERS, message=message)
@@ -67,6 +70,13 @@ class Lost:
 def is_policy_killed(header: Header) -> bool:
     """Whether the trial ended because its policy's process was killed, or because its own was while the policy ran."""
     return header.ended == "process_failure" and header.failure is not None and header.failure.kind == POLICY_KILLED
+
+
+def lack_in(header: Header) -> str:
+    """Return why the trial ended if its own process got no further process, thread or memory; else an empty text."""
+    failure = header.failure
+    lacks = header.ended == "harness_error" and failure is not None and failure.kind == EXHAUSTED
+    return failure.message.partition("\n")[0] if lacks and failure is not None else ""
 
 
 class Losses:
@@ -100,17 +110,18 @@ class Losses:
         """Handle a trial whose own process died while its policy ran. Chance, such as a machine out of memory, seldom
         comes twice at the same place; a policy that kills does, and must not leave its bad trials out of the count.
 
-        ``starved``: whether it ran out of time, to which any policy of this machine can bring it by using the
-        processors.
+        ``starved``: whether it ran out of time, processes or memory, to which any policy of this machine can bring it.
         """
         why = f"{death} while the policy was running"
         message = f"{why}, in both attempts{evidence}"
         bound = b"" if self._signals_closed and not starved else answers
         return self._once_more(spec, bound, why, otherwise=killed_by_policy_recording(spec, message=message))
 
-    def died(self, spec: TrialSpec, answers: bytes, death: str, evidence: str) -> Recording | str:
-        """Handle a trial whose own process was killed before its policy ran or after its policy had ended."""
-        bound = b"" if self._signals_closed else answers
+    def died(
+        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
+    ) -> Recording | str:
+        """Handle a trial whose own process died before its policy ran or after its policy had ended."""
+        bound = b"" if self._signals_closed and not starved else answers
         lost = harness_error_recording(spec, kind=KILLED, message=death + evidence)
         return self._once_more(spec, bound, death, otherwise=lost)
 

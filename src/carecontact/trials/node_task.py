@@ -128,7 +128,7 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
             log=log.read_bytes() if log.exists() else None,
             warnings=ended.warnings,
             unreached=ended.unreached,
-            lost=f"node {node}: {ended.unstored}" if ended.unstored is not None else None,
+            lost=next((f"node {node}: {why}" for why in (ended.unstored, ended.lacked) if why is not None), None),
         )
     finally:
         folder.remove()

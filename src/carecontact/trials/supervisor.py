@@ -4,7 +4,7 @@ out."""
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError, StorageError, counted
+from carecontact.errors import ConfigError, ExhaustedError, StorageError, counted
+from carecontact.exhausted import REMEDY, is_exhausted
 from carecontact.hosting.conversation import WAIT_REPORT_S
 from carecontact.hosting.descendants import kill_abandoned
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
@@ -33,6 +34,11 @@ from carecontact.trials.workers import ROOM_BYTES
 
 EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
 POLL_S = 0.05
+START_PAUSE_S = 1.0
+"""Time [s] after which a trial that could not begin is tried again."""
+LACKING_ALONE_S, LACKING_S = 30.0, 600.0
+"""How long [s] trials may fail to begin, without one that ends, before the run stops: while none runs, and while some
+do, whose policies may be the cause."""
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
 (``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
@@ -53,6 +59,7 @@ class TrialEvent:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSummary:
+    planned: frozenset[str]
     ended: dict[str, EndReason]
     """Every planned trial that has a recording."""
     ran: tuple[str, ...]
@@ -65,6 +72,21 @@ class RunSummary:
     most_at_once: int
     """Trials that ran at the same time; of a policy with an address, its connections."""
     wall_s: float
+
+    def followed_by(self, later: RunSummary) -> RunSummary:
+        """Return the summary of a command that then ran some of these trials again."""
+        again = later.planned
+        ended: dict[str, EndReason] = {trial: how for trial, how in self.ended.items() if trial not in again}
+        return RunSummary(
+            planned=self.planned,
+            ended=ended | later.ended,
+            ran=(*(trial for trial in self.ran if trial not in again), *later.ran),
+            kept=(*(trial for trial in self.kept if trial not in again), *later.kept),
+            unreached=later.unreached,
+            late={trial: late for trial, late in self.late.items() if trial not in again} | later.late,
+            most_at_once=max(self.most_at_once, later.most_at_once),
+            wall_s=self.wall_s + later.wall_s,
+        )
 
 
 def run_trials(specs: Sequence[TrialSpec], *, out: Path, jobs: int | None = None, **options: Any) -> RunSummary:
@@ -84,7 +106,7 @@ def run_trials(specs: Sequence[TrialSpec], *, out: Path, jobs: int | None = None
     check_jobs(jobs)
     with open_run(specs, out=out, **options) as run:
         while run.advance(jobs):
-            time.sleep(POLL_S if run.running else 0)
+            time.sleep(POLL_S)
     return run.summary()
 
 
@@ -100,6 +122,7 @@ def open_run(
     engine: EngineName = "local",
     gpus: float = 0.0,
     retry_failed: bool = False,
+    suspects: Collection[str] = (),
     trial_limit_s: float = DEFAULT_TRIAL_LIMIT_S,
     on_event: Callable[[TrialEvent], None] = lambda event: None,
     worker_command: Sequence[str] = WORKER_COMMAND,
@@ -116,6 +139,7 @@ def open_run(
         pace_s: wall time [s] for each control period, as the policy sees it; None: as fast as can be.
         engine: where the trials run.
         gpus: share of a GPU that a cluster reserves for each trial.
+        suspects: trials whose recording may be damaged in an array, and is read whole for that.
         launcher: starts the workers of other runs of this command, too, if it has the same ``worker_command``.
         whole: ids of all trials of the run of which ``specs`` are a part.
 
@@ -130,7 +154,7 @@ def open_run(
     check_setup(specs[0], setup)
     identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language, card=card)
     with alone(out, make=True):
-        found = survey(specs, out=out, retry_failed=retry_failed, identity=identity)
+        found = survey(specs, out=out, retry_failed=retry_failed, identity=identity, suspects=suspects)
         specs = salted(specs, out=out)
         _prepare(out, specs, identity=identity, purpose=purpose, whole=whole)
         setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
@@ -180,10 +204,13 @@ class Run:
         self._next_look = self._began + WAIT_REPORT_S
         self._answered = False
         self._most = 0
+        self._next_start = self._began
+        self._lacking_since: float | None = None
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
         for trial_id, why in found.redo.items():
             self._report("redo", trial_id, message=why)
+        self._planned = frozenset(spec.trial_id for spec in specs)
         self._waiting = [spec for spec in specs if spec.trial_id not in found.keep]
 
     @property
@@ -203,18 +230,25 @@ class Run:
     def advance(self, jobs: int | None) -> bool:
         """Take the trials that have ended, and begin others until ``jobs`` run; returns whether any are left.
 
-        It waits for nothing: call it again and again. Raises StorageError where there is no space for a recording;
-        those that are there stay.
+        It waits for nothing: call it again and again. Raises StorageError where there is no space for a recording, and
+        ExhaustedError where no process can be started; recordings that are there stay.
         """
         self._take_finished()
-        while self._waiting and self.running < (self.slots() if jobs is None else jobs):
+        while self._may_start() and self.running < (self.slots() if jobs is None else jobs):
             if not self._engine.has_room():
                 self._stop_full(str(no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")))
                 break
             spec = self._waiting.pop(0)
             # First, because the fork server takes a second to start.
             self._report("started", spec.trial_id)
-            self._engine.start(spec)
+            try:
+                self._engine.start(spec)
+            except OSError as error:
+                if not is_exhausted(error):
+                    raise
+                self._waiting.insert(0, spec)
+                self._start_later(f"no process for it: {error.strerror or error}")
+                break
             self._most = max(self._most, self.running)
         self._report_silence()
         if self._waiting or self.running:
@@ -226,6 +260,7 @@ class Run:
 
     def summary(self) -> RunSummary:
         return RunSummary(
+            planned=self._planned,
             ended=self.ended,
             ran=tuple(trial_id for trial_id in self.ended if trial_id not in self._found.keep),
             kept=tuple(self._found.keep),
@@ -234,6 +269,19 @@ class Run:
             most_at_once=self._most,
             wall_s=time.monotonic() - self._began,
         )
+
+    def _may_start(self) -> bool:
+        return bool(self._waiting) and time.monotonic() >= self._next_start
+
+    def _start_later(self, why: str) -> None:
+        """Wait with the next trial: those that run may use what it needs. Raises ExhaustedError where that lasts."""
+        now = time.monotonic()
+        self._lacking_since = now if self._lacking_since is None else self._lacking_since
+        if now - self._lacking_since > (LACKING_S if self.running else LACKING_ALONE_S):
+            done = f"the run stops with {len(self.ended)} of {counted(self._total, 'trial')} done"
+            raise ExhaustedError(f"{done}: a trial could not begin: {why}; {REMEDY}")
+        self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {why}")
+        self._next_start = now + START_PAUSE_S
 
     def _stop_full(self, why: str) -> None:
         """Begin no further trial, because its recording could not be stored; trials that run already may end."""
@@ -259,11 +307,16 @@ class Run:
             if done.unstored is not None:
                 self._stop_full(done.unstored)
                 continue
+            if done.lacked is not None:
+                self._waiting.insert(0, spec)
+                self._start_later(done.lacked)
+                continue
             if recording is None:
                 if self._full is None:
                     self._waiting.insert(0, spec)
                 self._report("redo", spec.trial_id, message=done.lost)
                 continue
+            self._lacking_since = None
             header = recording.header
             self.ended[spec.trial_id] = header.ended
             if late := late_in(recording):

@@ -14,7 +14,7 @@ from carecontact.contract.observation import Observation
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World
-from carecontact.errors import ActionError, PolicyError, UnreachableError
+from carecontact.errors import ActionError, ExhaustedError, PolicyError, UnreachableError
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
@@ -77,7 +77,12 @@ def run_trial(
             drive(episode, setup.ref)
             return episode.finish()
         report(True)
-        _converse(episode, setup, Pace(pace_s), on_look, on_wait, on_sent)
+        try:
+            _converse(episode, setup, Pace(pace_s), on_look, on_wait, on_sent)
+        except ExhaustedError:
+            # Nothing of the policy has run.
+            report(False)
+            raise
         report(False)
         return episode.finish()
 

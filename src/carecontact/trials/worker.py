@@ -73,7 +73,9 @@ def main(parent: int) -> int:
 def _run() -> int:
     """Return the exit status. Raises StorageError or OSError where there is no space for what it writes."""
     from carecontact.errors import CarecontactError, DependencyError, StorageError, UnreachableError
+    from carecontact.exhausted import is_exhausted
     from carecontact.recording import write_recording
+    from carecontact.recording.schema import EXHAUSTED
     from carecontact.recording.storage import is_full
     from carecontact.trials.failed import harness_error_recording, tail
     from carecontact.trials.lost import digest_of
@@ -123,7 +125,8 @@ def _run() -> int:
         sys.stderr.write(trace)
         reason = str(error) if isinstance(error, CarecontactError) else f"{type(error).__name__}: {error}"
         message = f"{reason}\n\n{tail(trace)}"
-        write_recording(harness_error_recording(request.spec, kind=type(error).__name__, message=message), request.out)
+        kind = EXHAUSTED if is_exhausted(error) else type(error).__name__
+        write_recording(harness_error_recording(request.spec, kind=kind, message=message), request.out)
     return 0
 
 

@@ -28,7 +28,7 @@ from carecontact.runs.manifest import runs_beside
 from carecontact.trials.engine import Ended
 from carecontact.trials.failed import harness_error_recording, tail
 from carecontact.trials.launch import Launcher, Process, is_stopped
-from carecontact.trials.lost import Losses, is_policy_killed
+from carecontact.trials.lost import Losses, is_policy_killed, lack_in
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.told import Told
 from carecontact.trials.worker import FIRST_ANSWER, LACKING, NO_SPACE, UNREACHED, UNSTORED, WAITING
@@ -88,6 +88,10 @@ class Workers:
         )  # fmt: skip
         try:
             process = self.launcher.start(request, log=output)
+        except OSError:
+            os.close(pipe)
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
         finally:
             os.close(told_fd)
         self.running.append(
@@ -115,6 +119,9 @@ class Workers:
             returncode = worker.process.wait()
             if returncode == UNSTORED:
                 done.append(Ended(spec=worker.spec, recording=None, unstored=self._unstored(worker)))
+                continue
+            if (lacked := _lacked(worker)) is not None:
+                done.append(Ended(spec=worker.spec, recording=None, lacked=lacked))
                 continue
             kind, death = _death(returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s)
             recording = self._collected(worker, kind, death)
@@ -158,7 +165,10 @@ class Workers:
         answers = worker.told.answers
         if kind == "no_recording":
             death += f": {problem}"
-        if found is not None and not is_policy_killed(found.header):
+        if found is not None and (lack := lack_in(found.header)):
+            lost = self.losses.died_with_policy if worker.told.policy_runs else self.losses.died
+            outcome = lost(worker.spec, answers, lack, _evidence(worker), starved=True)
+        elif found is not None and not is_policy_killed(found.header):
             outcome = self.losses.counted(found, answers)
         elif found is not None:
             outcome = self.losses.policy_killed(found, answers)
@@ -196,6 +206,14 @@ def _read(worker: _Worker) -> tuple[Recording | None, str]:
     if recording.header.spec == worker.spec.sealed:
         return recording, ""
     return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
+
+
+def _lacked(worker: _Worker) -> str | None:
+    """Return why the trial could not begin to ask its policy, if it lacked a process, a thread or memory."""
+    if worker.told.policy_runs or worker.told.answers:
+        return None
+    found, _ = _read(worker)
+    return lack_in(found.header) or None if found is not None else None
 
 
 def _evidence(worker: _Worker) -> str:

@@ -89,6 +89,8 @@ def build_spec(
     body, breathes = load_body(protocol.person.body), protocol.person.alive.breathing is not None
     spec = mujoco.MjSpec()
     spec.modelname = "carecontact"
+    # Threads do not make so small a model faster, and none may be left where a policy of this machine starts many.
+    spec.compiler.usethread = False
     # This comes first, because it sets the units of everything that is added later.
     set_physics(spec, dt_s=protocol.physics.dt_s)
 

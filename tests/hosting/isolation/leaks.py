@@ -23,7 +23,7 @@ from carecontact.hosting.isolation.system_calls import PROCESS_CONNECTOR
 
 SEIZE = 0x4206
 """linux/ptrace.h"""
-PROCESS_VM_READV, PIDFD_GETFD = 310, 438
+PROCESS_VM_READV, PIDFD_GETFD, IO_URING_SETUP = 310, 438, 425
 IN_CREATE = 0x100
 """linux/inotify.h"""
 DN_ACCESS, BEST_EFFORT = 1, 2 << 13 | 4
@@ -86,12 +86,21 @@ def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[]
         "processor time of the harness": lambda: time.clock_gettime(~harness << 3 | 2),
         "processor time of all processes, to a nanosecond": lambda: os.listdir("/sys/fs/cgroup"),
         "processor time of all processes": Path("/proc/stat").read_text,
-        "how many processes run": Path("/proc/loadavg").read_text,
+        "load of the machine": Path("/proc/loadavg").read_text,
         "receive messages about processes that start and end": lambda: socket.socket(
             socket.AF_NETLINK, socket.SOCK_DGRAM, PROCESS_CONNECTOR
         ).close(),
+        "a ring, whose operations no filter sees": _ringed,
         "find the run's folder among its options": _named_folders,
     }
+
+
+def _ringed() -> None:
+    """io_uring can make the socket that the filter refuses, without the system call."""
+    ring = ctypes.CDLL(None, use_errno=True).syscall(IO_URING_SETUP, 1, ctypes.create_string_buffer(120))
+    if ring < 0:
+        raise OSError(ctypes.get_errno(), "io_uring_setup")
+    os.close(ring)
 
 
 def stays_open(folder: Path, harness: int) -> dict[str, Callable[[], object]]:

@@ -13,7 +13,8 @@ from carecontact.scoring.result import TrialScore
 
 
 class TrialAnswer(Answer):
-    """A trial that has ended, or that an earlier command had finished."""
+    """A trial that has ended, or that an earlier command had finished. If scoring then finds the recording of such an
+    earlier trial damaged, the trial runs again and gets a second line."""
 
     kind: Annotated[Literal["carecontact-run-trial-1"], Field(alias="schema")] = "carecontact-run-trial-1"
     trial_id: str

@@ -25,9 +25,11 @@ SYSTEM = (
 /run or all of /etc."""
 CLOCKS = (
     "/sys/fs/cgroup", "/sys/kernel/debug", "/sys/kernel/tracing", "/sys/devices/system/cpu/cpu*/cpuidle",
-    "/sys/devices/system/cpu/cpu*/cpufreq/stats",
+    "/sys/devices/system/cpu/cpu*/cpufreq/stats", "/sys/devices/system/cpu/cpu*/acpi_cppc",
+    "/sys/devices/virtual/powercap", "/sys/kernel/irq",
 )  # fmt: skip
-"""Parts of SYSTEM that count, to a microsecond or better, the processor time that others use."""
+"""Parts of SYSTEM that count what others use of the processors: time, to a microsecond or better, cycles, energy and
+interrupts."""
 LIMITS = tuple(f"/sys/fs/cgroup/{name}" for name in (
     "cpu.max", "cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us", "memory.max", "memory/memory.limit_in_bytes",
 ))  # fmt: skip

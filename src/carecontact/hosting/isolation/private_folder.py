@@ -7,10 +7,12 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from subprocess import DEVNULL
+from typing import NoReturn
 
 from carecontact.hosting.isolation.allowlist import SHARED_MEMORY
 
@@ -19,31 +21,44 @@ BESIDE_SHARED_MEMORY = "/tmp"
 """Where the folders lie if TMPDIR is in shared memory, which every policy may read and write."""
 
 
+REMOVAL_S = 1.0
+"""Longest wait [s] for the removal of folders: a policy may leave so many files that it takes minutes, which then go on
+beside the next trial."""
+_REMOVE = """
+rm -rf -- "$@"
+for folder; do
+    # A folder without the right to list it.
+    [ ! -e "$folder" ] || { chmod -R u+rwx -- "$folder"; rm -rf -- "$folder"; }
+done
+"""
+
+_removing: list[subprocess.Popen[bytes]] = []
+
+
 @dataclass(frozen=True, kw_only=True)
 class PrivateFolder:
     path: Path
     lock: int
-    """Descriptor of the lock, which the kernel releases when this process ends in any way."""
+    """Descriptor of the lock, which the kernel releases when the last process that has it ends in any way."""
 
     def remove(self) -> None:
-        """Remove the folder and release the lock."""
-        remove_folder(self.path)
+        """Remove the folder, whatever a policy made in it, and release the lock. It may go on after REMOVAL_S."""
+        _remove([self])
+
+    def release(self) -> None:
+        """Leave the folder to another process that has the lock."""
         os.close(self.lock)
 
 
-def remove_folder(path: Path) -> None:
-    """Remove the folder of a policy, whatever that made in it."""
+def become_remover(path: Path) -> NoReturn:
+    """Remove the folder of a policy and end this process, which turns into another program for that."""
     with suppress(OSError):
-        # This needs no file descriptor, where too many may be open.
         path.rmdir()
-        return
-    # A tree deeper than Python's stack raises, and a folder without the right to list it stays.
-    with suppress(RecursionError):
-        shutil.rmtree(path, ignore_errors=True)
-    if path.exists():
-        for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
-            with suppress(OSError):
-                subprocess.run([*command, "--", path], stdin=DEVNULL, stderr=DEVNULL, check=False)
+        os._exit(0)
+    with suppress(OSError):
+        os.execvpe("sh", _remover([path]), {"PATH": os.environ.get("PATH", os.defpath)})
+    shutil.rmtree(path, ignore_errors=True)
+    os._exit(0)
 
 
 def private_folder() -> PrivateFolder:
@@ -66,10 +81,41 @@ def private_folder() -> PrivateFolder:
 
 
 def remove_abandoned_folders() -> None:
-    """Remove the folders of policies whose harness was killed."""
+    """Remove the folders of policies whose harness was killed. It may go on after REMOVAL_S."""
+    _removing[:] = [process for process in _removing if process.poll() is None]
+    abandoned: list[PrivateFolder] = []
     for path in _place().glob(f"{PREFIX}*"):
         with suppress(OSError):
-            PrivateFolder(path=path, lock=_locked(path)).remove()
+            abandoned.append(PrivateFolder(path=path, lock=_locked(path)))
+    _remove(abandoned)
+
+
+def _remove(folders: Sequence[PrivateFolder]) -> None:
+    left: list[PrivateFolder] = []
+    for folder in folders:
+        try:
+            # This needs no file descriptor, where too many may be open.
+            folder.path.rmdir()
+        except FileNotFoundError:
+            continue
+        except OSError:
+            left.append(folder)
+    if left:
+        with suppress(OSError):  # What cannot be removed now is found as abandoned later.
+            process = subprocess.Popen(
+                _remover([folder.path for folder in left]), pass_fds=[folder.lock for folder in left],
+                stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True,
+            )  # fmt: skip
+            try:
+                process.wait(REMOVAL_S)
+            except subprocess.TimeoutExpired:
+                _removing.append(process)
+    for folder in folders:
+        os.close(folder.lock)
+
+
+def _remover(paths: Sequence[Path]) -> list[str]:
+    return ["sh", "-c", _REMOVE, "sh", *map(str, paths)]
 
 
 def _place() -> Path:

@@ -3,8 +3,9 @@
 With these calls a policy could act on the trial's process or watch it, because both belong to the same user. It could
 set that process's resource limits, so that the kernel kills it; lower its priority at the disk; take a lease on a file
 that the next trial opens, so that the trial waits for 45 s and tells that it opened the file; watch which files the
-harness makes; read how much processor time that process has used, which is more in contact; or receive the kernel's
-messages about processes that start and end (the process connector, a netlink socket).
+harness makes; read how much processor time that process has used, which is more in contact; receive the kernel's
+messages about processes that start and end (the process connector, a netlink socket); or have a ring of operations
+(io_uring) do such things, which this filter does not see.
 
 Numbers are those of linux/seccomp.h, linux/filter.h, linux/audit.h and of each architecture's table of system calls."""
 
@@ -85,6 +86,8 @@ CALLS = (
     # socket. Programs for i386 that call socketcall, which hides the arguments in memory, get no socket.
     Refused(numbers={"x86_64": 41, "i386": 359, "aarch64": 198, "arm": 281}, argument=2, only=(PROCESS_CONNECTOR,)),
     Refused(numbers={"i386": 102}),
+    # io_uring_setup: operations of a ring, such as making a socket, are no system calls, and nothing filters them.
+    Refused(numbers={"x86_64": 425, "i386": 425, "aarch64": 425, "arm": 425}),
     # inotify_add_watch, fanotify_init, ioprio_set
     Refused(numbers={"x86_64": 254, "i386": 292, "aarch64": 27, "arm": 317}),
     Refused(numbers={"x86_64": 300, "i386": 338, "aarch64": 262, "arm": 367}),

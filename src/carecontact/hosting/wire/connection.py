@@ -13,6 +13,8 @@ from typing import Self
 from websockets.sync.client import ClientConnection, connect
 
 from carecontact.errors import PolicyError, UnreachableError
+from carecontact.exhausted import is_exhausted
+from carecontact.hosting.alarms import DEADLINES
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from carecontact.hosting.wire.refusals import absent, closed
 
@@ -73,10 +75,10 @@ class Connection:
             ) from None
         except OSError as error:
             raise UnreachableError("start", f"no connection to {place}: {error.strerror or error}") from None
-        try:
-            sock.settimeout(None)
-            stack = ExitStack()
-            with cut_off(sock, until - time.monotonic()) as expired:
+        sock.settimeout(None)
+        stack = ExitStack()
+        with cut_off(sock, until - time.monotonic()) as expired:
+            try:
                 opening = connect(
                     f"ws://{place}{path}",
                     sock=sock,
@@ -90,19 +92,22 @@ class Connection:
                     close_timeout=CLOSE_S,
                 )
                 connection = cls(stack.enter_context(opening))
-            connection._stack = stack
-            return connection
-        except Exception as error:
-            if isinstance(error, TimeoutError) or expired.is_set():
-                text = f"no answer to the WebSocket handshake within {deadline_s:.3g} s"
-                raise PolicyError("timeout", text) from None
-            if gone := absent(error):
-                raise UnreachableError("start", f"no policy server answers at {place}: {gone}") from None
-            # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
-            told = f"{type(error).__name__}: {error}"
-            raise PolicyError(
-                "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
-            ) from None
+            except Exception as error:
+                if isinstance(error, TimeoutError) or expired.is_set():
+                    text = f"no answer to the WebSocket handshake within {deadline_s:.3g} s"
+                    raise PolicyError("timeout", text) from None
+                if is_exhausted(error):  # In this process; the server has no part in it.
+                    sock.close()
+                    raise
+                if gone := absent(error):
+                    raise UnreachableError("start", f"no policy server answers at {place}: {gone}") from None
+                # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
+                told = f"{type(error).__name__}: {error}"
+                raise PolicyError(
+                    "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
+                ) from None
+        connection._stack = stack
+        return connection
 
     def waiting(self, *, deadline_s: float = CLOSE_S) -> bytes | str | None:
         """Return a frame that has already come; None if there is none."""
@@ -127,13 +132,13 @@ class Connection:
         line ends the wait.
         """
         self._sent_bytes = len(message)
-        try:
-            with cut_off(self._websocket.socket, deadline_s) as expired:
+        with cut_off(self._websocket.socket, deadline_s) as expired:
+            try:
                 self._websocket.send(message)
-        except Exception as error:
-            if expired.is_set():
-                raise PolicyError("timeout", f"did not read its message within {deadline_s:.2g} s") from None
-            raise closed(error, sent_bytes=self._sent_bytes) from None
+            except Exception as error:
+                if expired.is_set():
+                    raise PolicyError("timeout", f"did not read its message within {deadline_s:.2g} s") from None
+                raise closed(error, sent_bytes=self._sent_bytes) from None
         if self.on_sent is not None:
             self.on_sent(message)
 
@@ -148,15 +153,15 @@ class Connection:
             PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
         """
         deadline_s = max(deadline_s, 0.0)
-        try:
-            with cut_off(self._websocket.socket, deadline_s) as expired:
+        with cut_off(self._websocket.socket, deadline_s) as expired:
+            try:
                 # Cut the line to end the wait: only after it is closed does websockets report why it gave the line up.
                 frame = self._websocket.recv(timeout=deadline_s + CLOSE_S)
-        except Exception as error:
-            failure = closed(error, sent_bytes=self._sent_bytes)
-            if failure.kind == "died" and expired.is_set():
-                raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s{late}") from None
-            raise failure from None
+            except Exception as error:
+                failure = closed(error, sent_bytes=self._sent_bytes)
+                if failure.kind == "died" and expired.is_set():
+                    raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s{late}") from None
+                raise failure from None
         if self.on_received is not None:
             self.on_received(frame)
         return frame
@@ -193,10 +198,8 @@ def cut_off(line: socket.socket, deadline_s: float) -> Generator[threading.Event
         with suppress(OSError):
             line.shutdown(socket.SHUT_RDWR)
 
-    timer = threading.Timer(max(deadline_s, 0.0), cut)
-    timer.daemon = True
-    timer.start()
+    alarm = DEADLINES.set(max(deadline_s, 0.0), cut)
     try:
         yield expired
     finally:
-        timer.cancel()
+        alarm.cancel()

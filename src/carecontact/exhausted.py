@@ -1,0 +1,27 @@
+"""What is said where the machine, or what its user may have of it, leaves no process, thread or memory."""
+
+from __future__ import annotations
+
+import errno
+
+from carecontact.errors import ExhaustedError
+
+NO_MORE = frozenset({errno.EAGAIN, errno.ENOMEM})
+"""What starting a process gives: too many processes (or threads, which count as such), and too little memory."""
+NO_THREAD = "can't start new thread"
+"""Python's message, of a RuntimeError."""
+REMEDY = "end other programs or raise the limit (ulimit -u, Docker's --pids-limit), then give the same command again"
+
+
+def is_exhausted(error: BaseException) -> bool:
+    """Whether an error, or one that led to it, says that something is used up."""
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, ExhaustedError | MemoryError):
+            return True
+        if isinstance(seen, OSError) and seen.errno in NO_MORE:
+            return True
+        if isinstance(seen, RuntimeError) and NO_THREAD in str(seen):
+            return True
+        seen = seen.__cause__ or seen.__context__
+    return False
