@@ -16,7 +16,8 @@ CarecontactError
 │   ├── UnreachableError     no server takes a connection at the policy's address: says nothing about the policy
 │   └── LostError            the connection to the policy ended, and its server did not say why
 ├── RecordingError           a trial file is corrupt, truncated or foreign
-└── StorageError             there is no space for a file: says nothing about a trial
+├── StorageError             there is no space for a file: says nothing about a trial
+└── ExhaustedError           no process, thread or memory is left: says nothing about a policy
 """
 
 from __future__ import annotations
