@@ -12,6 +12,8 @@ import pytest
 
 import carecontact
 from carecontact.hosting import descendants
+from carecontact.hosting.descendants import removals
+from carecontact.hosting.isolation.private_folder import REMOVER
 from tests.hosting.conftest import CHAIN
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux lets a process adopt orphans")
@@ -94,3 +96,22 @@ def test_no_more_children_are_reaped_than_are_asked_for() -> None:
 def test_marks_of_one_process_are_not_those_of_another() -> None:
     assert descendants.new_mark().startswith(descendants.marks_of(os.getpid()))
     assert not descendants.marks_of(123).startswith(descendants.marks_of(12))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads names of processes in /proc")
+def test_processes_that_remove_folders_are_counted_and_reaped() -> None:
+    """Each would stay as a zombie of the command, and count against the processes that its user may have."""
+    code = f"{{ printf {REMOVER} > /proc/self/comm; }}; echo; read -r line"
+    remover = subprocess.Popen(["sh", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    other = subprocess.Popen(["true"])
+    assert remover.stdout is not None
+    assert remover.stdin is not None
+    remover.stdout.readline()
+    assert removals() == 1
+    remover.stdin.close()
+    until = time.monotonic() + 10.0
+    while removals() and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not Path(f"/proc/{remover.pid}").exists()
+    assert other.wait() == 0
+    remover.stdout.close()

@@ -698,3 +698,23 @@ def _soon(condition: Callable[[], bool]) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+@pytest.mark.parametrize("where", ["server.serve_forever", "thread"])
+def test_a_policy_whose_server_gets_no_thread_is_not_blamed_at_once(
+    launch: Launch, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """Others may have taken them; this ends as the kernel ends a process without memory."""
+    refuse = 'import threading\ndef refused(self): raise RuntimeError("can\'t start new thread")\n'
+    at = "threading.Thread.start = refused\n"
+    if where != "thread":
+        at = "from websockets.sync.server import Server\nServer.serve_forever = refused\n"
+    monkeypatch.setattr(
+        harness_process,
+        "_BOOTSTRAP",
+        harness_process._BOOTSTRAP.replace("main(options)", f"{refuse}{at}main(options)"),  # pyright: ignore[reportPrivateUsage]
+    )
+    process = launch("class P(Base): pass", first_deadline_s=5.0)
+    with pytest.raises(PolicyError, match="can't start new thread") as failure:
+        process.start()
+    assert failure.value.kind == "killed"

@@ -141,6 +141,9 @@ def main() -> int:
         if does == "lack_with_policy":
             os.write(request.told_fd, POLICY_RUNS)
         write_recording(harness_error_recording(spec, kind=EXHAUSTED, message="no thread is left\n\nTrace"), out)
+    elif does == "slow_lost":
+        time.sleep(2)
+        os.kill(os.getpid(), signal.SIGKILL)
     elif does == "beside":
         # Another command begins a run.
         (out.parents[3] / "later").mkdir()

@@ -76,6 +76,32 @@ def test_a_run_whose_trials_cannot_begin_for_long_stops(bench: Bench, monkeypatc
     assert set(bench.run(specs(2)).ended.values()) == {"done"}
 
 
+def test_a_trial_that_runs_may_end_before_a_run_stops_that_cannot_go_on(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its policy may be the cause, and would else run again without condition."""
+    monkeypatch.setattr("carecontact.trials.supervisor.LACKING_S", 0.5)
+    monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
+    with pytest.raises(ExhaustedError, match="with 1 of 3 trials done: a trial could not begin: no thread is left"):
+        bench.run(specs(3), {FIRST: "slow", SECOND: "lack"})
+    assert kind(bench.recording(FIRST)) == ("done", None)
+
+
+def test_patience_begins_anew_after_a_trial_that_could_begin(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carecontact.trials.supervisor.LACKING_ALONE_S", 1.0)
+    monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
+    assert bench.run(specs(1), {FIRST: ["lack", "slow_lost", "lack", "good"]}).ended == {FIRST: "done"}
+
+
+def test_a_trial_waits_while_much_is_removed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
+    going_on = [4, 4, 3, *[0] * 99]
+    monkeypatch.setattr("carecontact.trials.supervisor.removals", lambda: going_on.pop(0))
+    assert bench.run(specs(1)).ended == {FIRST: "done"}
+    said = [event.message for event in bench.events if event.kind == "waiting"]
+    assert said == ["cannot begin yet: files that policies left are still being removed"] * 2
+
+
 def test_a_process_that_cannot_be_started_is_tried_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
     whole, tried = Launcher.start, list[str]()

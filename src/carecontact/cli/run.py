@@ -140,6 +140,7 @@ class Run:
         self, specs: list[TrialSpec], setup: PolicySetup, *, card: PolicyCard | None, purpose: Purpose, whole: list[str]
     ) -> int:
         from carecontact.cli.policy import arguments_text
+        from carecontact.runs import write_scores
         from carecontact.trials.scorer import Scorer
         from carecontact.trials.workers import available_cores
 
@@ -157,6 +158,8 @@ class Run:
             # Scoring alone reads every array; the run then repeats the trials of what scoring skipped as damaged.
             if scores and (damaged := [trial for trial in summary.kept if f"{trial}.h5" in scores.skipped]):
                 print(f"damaged recordings, whose trials run again: {', '.join(damaged)}", flush=True)
+                if scores.scores:
+                    write_scores(self.out, scores)  # The trials that run again may be stopped.
                 again = [spec for spec in specs if spec.trial_id in damaged]
                 summary = summary.followed_by(self._trials(again, setup, scorer, suspects=damaged, **more))
                 scores = self._scores(summary, scorer)

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 
 class Alarm:
@@ -36,10 +37,11 @@ class Alarm:
             try:
                 self._call()
             except Exception:
-                threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
+                with suppress(Exception):  # Nobody may read what it prints.
+                    threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
                 return False
         if self._every_s is not None:
-            self.due += self._every_s
+            self.due = time.monotonic() + self._every_s
         return self._every_s is not None
 
 
@@ -54,13 +56,12 @@ class Alarms:
 
     @property
     def runs(self) -> bool:
-        """Whether the thread has started."""
-        return self._thread is not None
+        return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
         """Start the thread, if it does not run yet. Raises RuntimeError if it cannot be started."""
         with self._changed:
-            if self._thread is None:
+            if not self.runs:
                 thread = threading.Thread(target=self._run, daemon=True)
                 thread.start()
                 self._thread = thread

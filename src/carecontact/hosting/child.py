@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import traceback
 from collections.abc import Mapping
 from typing import NotRequired, TypedDict, cast
 
 from carecontact.contract.policy import Policy
 from carecontact.errors import ConfigError
+from carecontact.exhausted import is_exhausted
 from carecontact.hosting.arguments import bind, load_factory
 from carecontact.hosting.stack import give_stack
 from carecontact.hosting.wall import raise_wall
@@ -84,13 +87,20 @@ def main(options: Options) -> None:
             message = f"could not load {options['target']}:\n{told(error)}"
             tell({"error": message, "kind": "start"})
             return
-        serve_policy(
-            policy,
-            on_port=lambda port: tell({"port": port}),
-            client_port=options["harness_port"],
-            arguments=arguments,
-            environment=tuple(options["environment"]),
-        )
+        try:
+            serve_policy(
+                policy,
+                on_port=lambda port: tell({"port": port}),
+                client_port=options["harness_port"],
+                arguments=arguments,
+                environment=tuple(options["environment"]),
+            )
+        except Exception as error:
+            if not is_exhausted(error):
+                raise
+            # Others may have used up the threads or the memory: end as the kernel ends a process without memory.
+            traceback.print_exc()
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _construct(target: str, arguments: Mapping[str, str]) -> Policy:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from carecontact.hosting.isolation.private_folder import REMOVER
 from carecontact.own_process import adopt_orphans
 
 MARK = "CARECONTACT_POLICY_MARK"
@@ -93,6 +94,30 @@ def kill_adopted() -> None:
             with suppress(OSError):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, os.WNOHANG)
+
+
+def removals() -> int:
+    """Return how many processes that this one adopted, or started, still remove the folder of a policy; reap those that
+    have ended, since nobody else does."""
+    going_on = 0
+    for pid in _children():
+        with suppress(OSError):
+            name = (_PROC / str(pid) / "comm").read_text(errors="replace").strip()
+            going_on += name == REMOVER and os.waitpid(pid, os.WNOHANG)[0] == 0
+    return going_on
+
+
+def wait_for_children(most_s: float) -> bool:
+    """Wait until this process has no child that lives, such as one that removes files; return whether that is so.
+
+    Call it only in a process that called ``claim_children``."""
+    until = time.monotonic() + most_s
+    while True:
+        with suppress(ChildProcessError):
+            reap({})
+        if not _children() or time.monotonic() > until:
+            return not _children()
+        time.sleep(0.05)
 
 
 def _filters(process: str) -> int:

@@ -234,12 +234,20 @@ class PolicyProcess(PolicyConversation):
                 )
             piece = report.read(65536)
             if not piece:
-                if self.isolation is None and self._child is not None and self._child.poll() == NO_PROCESS:
+                if self.isolation is None and self._keepers_status() == NO_PROCESS:
                     raise _exhausted("its fork failed, as it does where no process or memory is left")
                 raise PolicyError("start", self._how_it_ended("before it was ready"))
             written += piece
             if len(written) > REPORT_BYTES:
                 raise PolicyError("oversize", f"its process reported more than {REPORT_BYTES} bytes at its start")
+
+    def _keepers_status(self) -> int | None:
+        """Return the exit status of the keeper, which is about to end; None if it does not."""
+        assert self._child is not None
+        # At once, poll would not know it, because another thread waits for the same process.
+        with suppress(subprocess.TimeoutExpired):
+            return self._child.wait(GRACE_S)
+        return None
 
     def _drain(self, child: subprocess.Popen[bytes]) -> None:
         assert child.stdout is not None

@@ -10,6 +10,7 @@ from types import ModuleType
 
 OPEN = (
     "carecontact.errors",
+    "carecontact.exhausted",
     "carecontact.own_process",
     "carecontact.registry",
     "carecontact.regions",

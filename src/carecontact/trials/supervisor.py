@@ -15,7 +15,7 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, ExhaustedError, StorageError, counted
 from carecontact.exhausted import REMEDY, is_exhausted
 from carecontact.hosting.conversation import WAIT_REPORT_S
-from carecontact.hosting.descendants import kill_abandoned
+from carecontact.hosting.descendants import kill_abandoned, removals
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
@@ -39,6 +39,8 @@ START_PAUSE_S = 1.0
 LACKING_ALONE_S, LACKING_S = 30.0, 600.0
 """How long [s] trials may fail to begin, without one that ends, before the run stops: while none runs, and while some
 do, whose policies may be the cause."""
+MOST_REMOVALS = 4
+"""Number of processes that still remove what earlier policies left, from which on the next trial waits."""
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
 (``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
@@ -197,7 +199,7 @@ class Run:
         self.ended: dict[str, EndReason] = dict(found.keep)
         self.unreached: str | None = None
         self.late: dict[str, int] = {}
-        self._full: str | None = None
+        self._stopped: StorageError | ExhaustedError | None = None
         self._found, self._total, self._out = found, len(specs), out
         self._engine, self._on_event = engine, on_event
         self._began = time.monotonic()
@@ -235,6 +237,11 @@ class Run:
         """
         self._take_finished()
         while self._may_start() and self.running < (self.slots() if jobs is None else jobs):
+            if (removing := removals()) >= MOST_REMOVALS or (removing and not self._engine.has_room()):
+                self._next_start = time.monotonic() + START_PAUSE_S
+                what = "files that policies left are still being removed"
+                self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {what}")
+                break
             if not self._engine.has_room():
                 self._stop_full(str(no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")))
                 break
@@ -246,16 +253,16 @@ class Run:
             except OSError as error:
                 if not is_exhausted(error):
                     raise
-                self._waiting.insert(0, spec)
+                self._again(spec)
                 self._start_later(f"no process for it: {error.strerror or error}")
                 break
             self._most = max(self._most, self.running)
         self._report_silence()
         if self._waiting or self.running:
             return True
-        if self._full is not None:
+        if self._stopped is not None:
             done = f"the run stops with {len(self.ended)} of {counted(self._total, 'trial')} done"
-            raise StorageError(f"{done}: {self._full} to continue")
+            raise type(self._stopped)(f"{done}: {self._stopped} to continue")
         return False
 
     def summary(self) -> RunSummary:
@@ -274,18 +281,23 @@ class Run:
         return bool(self._waiting) and time.monotonic() >= self._next_start
 
     def _start_later(self, why: str) -> None:
-        """Wait with the next trial: those that run may use what it needs. Raises ExhaustedError where that lasts."""
+        """Wait with the next trial: those that run may use what it needs. Where that lasts, begin none any more."""
         now = time.monotonic()
         self._lacking_since = now if self._lacking_since is None else self._lacking_since
         if now - self._lacking_since > (LACKING_S if self.running else LACKING_ALONE_S):
-            done = f"the run stops with {len(self.ended)} of {counted(self._total, 'trial')} done"
-            raise ExhaustedError(f"{done}: a trial could not begin: {why}; {REMEDY}")
-        self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {why}")
+            self._stopped = ExhaustedError(f"a trial could not begin: {why}; {REMEDY}")
+            self._waiting.clear()
+        elif self._waiting:
+            self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {why}")
         self._next_start = now + START_PAUSE_S
+
+    def _again(self, spec: TrialSpec) -> None:
+        if self._stopped is None:
+            self._waiting.insert(0, spec)
 
     def _stop_full(self, why: str) -> None:
         """Begin no further trial, because its recording could not be stored; trials that run already may end."""
-        self._full = why
+        self._stopped = StorageError(why)
         self._waiting.clear()
 
     def _report_silence(self) -> None:
@@ -308,15 +320,14 @@ class Run:
                 self._stop_full(done.unstored)
                 continue
             if done.lacked is not None:
-                self._waiting.insert(0, spec)
+                self._again(spec)
                 self._start_later(done.lacked)
                 continue
+            self._lacking_since = None
             if recording is None:
-                if self._full is None:
-                    self._waiting.insert(0, spec)
+                self._again(spec)
                 self._report("redo", spec.trial_id, message=done.lost)
                 continue
-            self._lacking_since = None
             header = recording.header
             self.ended[spec.trial_id] = header.ended
             if late := late_in(recording):

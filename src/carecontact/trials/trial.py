@@ -25,6 +25,9 @@ from carecontact.recording.schema import Recording
 from carecontact.trials.pace import Pace
 from carecontact.trials.request import check_setup, setup_of
 
+ISOLATION = "wall/isolation"
+"""Array of a recording with the description of how far its policy's process was isolated, as UTF-8."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
@@ -80,8 +83,9 @@ def run_trial(
         try:
             _converse(episode, setup, Pace(pace_s), on_look, on_wait, on_sent)
         except ExhaustedError:
-            # Nothing of the policy has run.
-            report(False)
+            if ISOLATION not in episode.log.extra:
+                # Nothing of the policy has run.
+                report(False)
             raise
         report(False)
         return episode.finish()
@@ -115,7 +119,7 @@ def _converse(
                 episode.log.extra.update(pace.arrays())
                 episode.log.extra["wall/policy_output"] = np.frombuffer(policy.printed.encode(), "u1")
                 if policy.isolation is not None:
-                    episode.log.extra["wall/isolation"] = np.frombuffer(policy.isolation.encode(), "u1")
+                    episode.log.extra[ISOLATION] = np.frombuffer(policy.isolation.encode(), "u1")
     except UnreachableError:
         raise
     except PolicyError as error:

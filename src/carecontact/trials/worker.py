@@ -16,7 +16,7 @@ import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from carecontact.hosting.descendants import claim_children
+from carecontact.hosting.descendants import claim_children, wait_for_children
 from carecontact.own_process import die_with_parent, hide_memory
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ UNREACHED = "unreached.txt"
 package is missing; then there is no recording."""
 NO_SPACE = "no_space.txt"
 """File beside it in which the worker says which other place than that of the recording has no space."""
+REMOVED_S = 3600.0
+"""Longest wait [s] for the removal of what a policy filled the disk with, before the recording cannot be stored."""
 UNSTORED = 74
 """Exit status: EX_IOERR of sysexits.h."""
 LACKING = 69
@@ -110,7 +112,13 @@ def _run() -> int:
             request.spec, policy=request.policy, weights=request.weights, pace_s=request.pace_s,
             on_look=look, on_policy=lambda runs: tell(POLICY_RUNS if runs else POLICY_GONE), on_wait=wait,
         )  # fmt: skip
-        write_recording(recording, request.out)
+        try:
+            write_recording(recording, request.out)
+        except Exception as error:
+            # What a policy filled the disk with may still be being removed.
+            if not is_full(error) or not wait_for_children(REMOVED_S):
+                raise
+            write_recording(recording, request.out)
     except (UnreachableError, DependencyError) as error:
         request.out.with_name(UNREACHED).write_text(str(error))
         return LACKING if isinstance(error, DependencyError) else 0

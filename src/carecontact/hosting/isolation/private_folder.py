@@ -21,14 +21,19 @@ BESIDE_SHARED_MEMORY = "/tmp"
 """Where the folders lie if TMPDIR is in shared memory, which every policy may read and write."""
 
 
-REMOVAL_S = 1.0
-"""Longest wait [s] for the removal of folders: a policy may leave so many files that it takes minutes, which then go on
-beside the next trial."""
-_REMOVE = """
+REMOVAL_S = 10.0
+"""Longest wait [s] for the removal of a policy's folder when the policy has ended: it may have left so many files that
+this takes minutes, and then goes on beside the next trial."""
+ABANDONED_S = 1.0
+"""Longest wait [s] for the removal of folders that others left, which no policy's deadline may pay for."""
+REMOVER = "care-remover"
+"""Name of the process that removes folders, which every system call and /proc tell, also after its end."""
+_REMOVE = f"""
+{{ printf {REMOVER} > /proc/self/comm; }} 2> /dev/null
 rm -rf -- "$@"
 for folder; do
     # A folder without the right to list it.
-    [ ! -e "$folder" ] || { chmod -R u+rwx -- "$folder"; rm -rf -- "$folder"; }
+    [ ! -e "$folder" ] || {{ chmod -R u+rwx -- "$folder"; rm -rf -- "$folder"; }}
 done
 """
 
@@ -43,7 +48,7 @@ class PrivateFolder:
 
     def remove(self) -> None:
         """Remove the folder, whatever a policy made in it, and release the lock. It may go on after REMOVAL_S."""
-        _remove([self])
+        _remove([self], wait_s=REMOVAL_S)
 
     def release(self) -> None:
         """Leave the folder to another process that has the lock."""
@@ -81,16 +86,16 @@ def private_folder() -> PrivateFolder:
 
 
 def remove_abandoned_folders() -> None:
-    """Remove the folders of policies whose harness was killed. It may go on after REMOVAL_S."""
+    """Remove the folders of policies whose harness was killed. It may go on after ABANDONED_S."""
     _removing[:] = [process for process in _removing if process.poll() is None]
     abandoned: list[PrivateFolder] = []
     for path in _place().glob(f"{PREFIX}*"):
         with suppress(OSError):
             abandoned.append(PrivateFolder(path=path, lock=_locked(path)))
-    _remove(abandoned)
+    _remove(abandoned, wait_s=ABANDONED_S)
 
 
-def _remove(folders: Sequence[PrivateFolder]) -> None:
+def _remove(folders: Sequence[PrivateFolder], *, wait_s: float) -> None:
     left: list[PrivateFolder] = []
     for folder in folders:
         try:
@@ -107,7 +112,7 @@ def _remove(folders: Sequence[PrivateFolder]) -> None:
                 stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True,
             )  # fmt: skip
             try:
-                process.wait(REMOVAL_S)
+                process.wait(wait_s)
             except subprocess.TimeoutExpired:
                 _removing.append(process)
     for folder in folders:

@@ -12,7 +12,7 @@ from typing import Self
 
 from websockets.sync.client import ClientConnection, connect
 
-from carecontact.errors import PolicyError, UnreachableError
+from carecontact.errors import ExhaustedError, PolicyError, UnreachableError
 from carecontact.exhausted import is_exhausted
 from carecontact.hosting.alarms import DEADLINES
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
@@ -61,7 +61,7 @@ class Connection:
             line: a socket that is already connected; this object then owns it.
 
         Raises UnreachableError if nothing accepts a connection there, PolicyError ``handshake`` or ``timeout`` if the
-        WebSocket cannot be opened.
+        WebSocket cannot be opened, ExhaustedError if this process gets no thread for it.
         """
         place, until = f"[{host}]:{port}" if ":" in host else f"{host}:{port}", time.monotonic() + deadline_s
         try:
@@ -98,7 +98,7 @@ class Connection:
                     raise PolicyError("timeout", text) from None
                 if is_exhausted(error):  # In this process; the server has no part in it.
                     sock.close()
-                    raise
+                    raise ExhaustedError(f"no thread for the connection to {place}: {error}") from None
                 if gone := absent(error):
                     raise UnreachableError("start", f"no policy server answers at {place}: {gone}") from None
                 # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.

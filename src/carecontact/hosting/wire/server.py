@@ -45,7 +45,7 @@ def serve_policy(
     ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
     instead of an answer ends the conversation. ``actions`` and ``error`` may carry the policy's notes.
     """
-    offered: SimpleQueue[ServerConnection] = SimpleQueue()
+    offered: SimpleQueue[ServerConnection | Exception] = SimpleQueue()
     finished = threading.Event()
 
     def hand_over(connection: ServerConnection) -> None:
@@ -59,14 +59,26 @@ def serve_policy(
         offered.put(connection)
         finished.wait()
 
-    with serve(
+    def accept() -> None:
+        try:
+            server.serve_forever()
+        except Exception as error:  # No thread for the connection, for example.
+            offered.put(error)
+
+    server = serve(
         hand_over, "127.0.0.1", port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1,
         logger=QUIET,
-    ) as server:  # fmt: skip
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        on_port(server.socket.getsockname()[1])
+    )  # fmt: skip
+    # Before the block, whose end waits for that thread.
+    threading.Thread(target=accept, daemon=True).start()
+    on_port(server.socket.getsockname()[1])
+    connection = offered.get()
+    if isinstance(connection, Exception):
+        server.socket.close()
+        raise connection
+    with server:
         try:
-            converse(policy, offered.get(), arguments or {}, environment)
+            converse(policy, connection, arguments or {}, environment)
         finally:
             finished.set()
 
