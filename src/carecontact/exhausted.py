@@ -1,4 +1,4 @@
-"""What is said where the machine, or what its user may have of it, leaves no process, thread or memory."""
+"""Recognizes the errors which say that this process gets no further process, thread or memory."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import errno
 from carecontact.errors import ExhaustedError
 
 NO_MORE = frozenset({errno.EAGAIN, errno.ENOMEM})
-"""What starting a process gives: too many processes (or threads, which count as such), and too little memory."""
+"""Error numbers of fork(2): too many processes, among which threads count, or too little memory."""
 NO_THREAD = "can't start new thread"
-"""Python's message, of a RuntimeError."""
+"""Message of the RuntimeError that ``threading.Thread.start`` raises."""
 REMEDY = "end other programs or raise the limit (ulimit -u, Docker's --pids-limit), then give the same command again"
 
 

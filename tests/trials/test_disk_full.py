@@ -14,8 +14,10 @@ from pathlib import Path
 import pytest
 
 from carecontact.errors import StorageError
+from carecontact.hosting.setup import PolicySetup
 from carecontact.recording import read_recording, writer
 from carecontact.recording.writer import replace_file
+from carecontact.trials.request import TrialRequest
 from tests.trials.test_supervisor import Bench, specs
 
 REMEDY = "free some space there, then give the same command again"
@@ -110,3 +112,31 @@ def test_a_temporary_disk_without_space_is_nobodys_failure(tmp_path: Path) -> No
     )
     assert [path.name for path in out.iterdir()] == ["manifest.json"]
     assert subprocess.run(command, capture_output=True).returncode == 0
+
+
+WAITS = """
+import errno, os, subprocess, sys
+import carecontact.recording
+from carecontact.trials import worker
+out, whole = sys.argv[1], carecontact.recording.write_recording
+remover = subprocess.Popen(["sh", "-c", f"until [ -e {out}.tried ]; do sleep 0.05; done; sleep 0.2"])
+def write(recording, path):
+    if os.path.exists(f"/proc/{remover.pid}"):
+        open(f"{out}.tried", "w").close()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    whole(recording, path)
+carecontact.recording.write_recording = write
+sys.exit(worker.main(os.getppid()))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds processes in /proc")
+def test_a_recording_waits_for_the_removal_of_what_the_policy_left(tmp_path: Path) -> None:
+    """Else a policy that fills the disk with many files could discard a trial that it has ended."""
+    spec, out = specs(1, policy="nowhere:Nothing")[0], tmp_path / "trial.h5"
+    request = TrialRequest(spec=spec, policy=PolicySetup.of(spec.policy), out=out)
+    command = [sys.executable, "-c", WAITS, str(out)]
+    done = subprocess.run(command, input=request.model_dump_json().encode(), check=False)
+    assert done.returncode == 0
+    assert out.with_name("trial.h5.tried").exists()
+    assert read_recording(out).header.ended == "process_failure"

@@ -95,8 +95,7 @@ class PolicyConversation(ABC):
         """Connect, and return the policy's card.
 
         Raises UnreachableError if no server accepts a connection; so do ``reset`` and the first ``act`` of a
-        conversation that is ``patient``; ExhaustedError if nothing of the policy has run, for want of a process or
-        thread.
+        conversation that is ``patient``. Raises ExhaustedError if this process gets no further process or thread.
         """
         with self._evidence("start"):
             _start_alarms()

@@ -27,8 +27,8 @@ KILLED, POLICY_KILLED = "signal", "killed"
 """Kinds of the failure of a trial that lost its process, or its policy's, to a signal: of the harness error, if the
 policy did not run, and of the process failure, if it did. The same command repeats such a trial by itself."""
 EXHAUSTED = "exhausted"
-"""Kind of the harness error that a trial's process reports when it gets no further process, thread or memory; it ends
-as a loss to a signal does."""
+"""Kind of the harness error that a trial's process reports when it gets no further process, thread or memory. The
+supervisor treats the trial as one that a signal ended, and no run stores this kind."""
 
 ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/time_s": ("f8", "(T,) since t = 0, at the start of each physics step, when its forces act"),

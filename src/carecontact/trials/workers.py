@@ -21,7 +21,7 @@ from carecontact.hosting.descendants import kill_adopted, kill_marked, marks_of
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.keeper import KEEPER_S
 from carecontact.hosting.setup import PolicySetup
-from carecontact.recording import read_recording, write_recording
+from carecontact.recording import read_header, read_recording, write_recording
 from carecontact.recording.schema import FAILED, KILLED, Recording
 from carecontact.recording.storage import no_space
 from carecontact.runs.manifest import runs_beside
@@ -212,8 +212,9 @@ def _lacked(worker: _Worker) -> str | None:
     """Return why the trial could not begin to ask its policy, if it lacked a process, a thread or memory."""
     if worker.told.policy_runs or worker.told.answers:
         return None
-    found, _ = _read(worker)
-    return lack_in(found.header) or None if found is not None else None
+    with suppress(RecordingError):
+        return lack_in(read_header(worker.partial)) or None
+    return None
 
 
 def _evidence(worker: _Worker) -> str:

@@ -19,15 +19,13 @@ from carecontact.hosting.isolation.allowlist import SHARED_MEMORY
 PREFIX = "carecontact-policy-"
 BESIDE_SHARED_MEMORY = "/tmp"
 """Where the folders lie if TMPDIR is in shared memory, which every policy may read and write."""
-
-
 REMOVAL_S = 10.0
 """Longest wait [s] for the removal of a policy's folder when the policy has ended: it may have left so many files that
 this takes minutes, and then goes on beside the next trial."""
 ABANDONED_S = 1.0
 """Longest wait [s] for the removal of folders that others left, which no policy's deadline may pay for."""
 REMOVER = "care-remover"
-"""Name of the process that removes folders, which every system call and /proc tell, also after its end."""
+"""Name of the process that removes folders. /proc shows it even after that process has ended."""
 _REMOVE = f"""
 {{ printf {REMOVER} > /proc/self/comm; }} 2> /dev/null
 rm -rf -- "$@"
