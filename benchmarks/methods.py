@@ -48,7 +48,7 @@ def planning_call(protocol: Protocol, task: str, repeat: int) -> dict[str, objec
 
 def whole_trial(policy: str, task: str) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "carecontact.cli", "run", "--policy", policy, "--tasks", task]
+        command = [sys.executable, "-m", "carecontact", "run", "--policy", policy, "--tasks", task]
         began, before = time.perf_counter(), _children_cpu()
         subprocess.run([*command, "--seeds", "0", "--jobs", "1", "--out", folder], check=True, capture_output=True)
         wall, cpu = time.perf_counter() - began, _children_cpu() - before

@@ -150,7 +150,7 @@ def beside(checkout: Path, protocols: dict[str, str | None]) -> list[dict[str, o
 
 def whole_trial(task: str, protocol: Protocol) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "carecontact.cli", "run", "--policy", "state-machine", "--tasks", task]
+        command = [sys.executable, "-m", "carecontact", "run", "--policy", "state-machine", "--tasks", task]
         command += ["--protocol", protocol.id]
         start = time.perf_counter()
         subprocess.run([*command, "--seeds", "0", "--jobs", "1", "--out", folder], check=True, capture_output=True)
@@ -164,7 +164,7 @@ def help_seconds() -> float:
     times = []
     for _ in range(5):
         start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "carecontact.cli", "--help"], check=True, capture_output=True)
+        subprocess.run([sys.executable, "-m", "carecontact", "--help"], check=True, capture_output=True)
         times.append(time.perf_counter() - start)
     return round(min(times), 3)
 

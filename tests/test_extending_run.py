@@ -19,7 +19,7 @@ FOLDER = Path(__file__).parent / "extending"
 def carecontact_outside(*command: str) -> subprocess.CompletedProcess[str]:
     paths = (str(Path(carecontact.__file__).parents[1]), str(FOLDER))
     return subprocess.run(
-        [sys.executable, "-P", "-m", "carecontact.cli", *command],
+        [sys.executable, "-P", "-m", "carecontact", *command],
         cwd=FOLDER, env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)}, capture_output=True, text=True,
     )  # fmt: skip
 

@@ -42,7 +42,7 @@ def test_every_run_completes_a_short_trial(command: list[str], tmp_path: Path) -
         here = [part.replace("GPU-HOST:8000", f"127.0.0.1:{port}") for part in command]
         short = ["--tasks", "T1", "--seeds", "0", "--set", "phases.time_limit_s=1.5"]
         done = subprocess.run(
-            [sys.executable, "-m", "carecontact.cli", *here, *short], cwd=tmp_path, capture_output=True, text=True
+            [sys.executable, "-m", "carecontact", *here, *short], cwd=tmp_path, capture_output=True, text=True
         )
     assert done.returncode == 0, done.stdout + done.stderr
     out = tmp_path / command[command.index("--out") + 1]

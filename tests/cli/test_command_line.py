@@ -22,7 +22,7 @@ BROKEN = "class Broken:\n    def __init__(self):\n        raise RuntimeError('no
 
 def carecontact(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "carecontact.cli", *arguments],
+        [sys.executable, "-m", "carecontact", *arguments],
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": SOURCES},
         capture_output=True,
@@ -130,7 +130,7 @@ def test_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run(
-        [sys.executable, "-m", "carecontact.cli", "list"],
+        [sys.executable, "-m", "carecontact", "list"],
         env={**os.environ, "PYTHONPATH": SOURCES},
         stdout=writing,
         stderr=subprocess.PIPE,
@@ -157,7 +157,7 @@ def test_a_table_whose_reader_goes_away_is_no_failed_check() -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
 @pytest.mark.parametrize("option", [[], ["--json"]])
 def test_standard_output_without_space(option: list[str]) -> None:
-    command = [sys.executable, "-m", "carecontact.cli", "list", "policies", *option]
+    command = [sys.executable, "-m", "carecontact", "list", "policies", *option]
     with open("/dev/full", "w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2
@@ -167,7 +167,7 @@ def test_standard_output_without_space(option: list[str]) -> None:
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
 def test_a_run_without_standard_output(tmp_path: Path, closed: str) -> None:
-    command = f"{sys.executable} -m carecontact.cli run --policy zero-action --tasks T1 --seeds 0 --fast --out r"
+    command = f"{sys.executable} -m carecontact run --policy zero-action --tasks T1 --seeds 0 --fast --out r"
     done = subprocess.run(
         ["sh", "-c", f"{command} --set phases.time_limit_s=1 {closed}"],
         env={**os.environ, "PYTHONPATH": SOURCES}, cwd=tmp_path, capture_output=True, check=False,
@@ -179,7 +179,7 @@ def test_a_run_without_standard_output(tmp_path: Path, closed: str) -> None:
 def test_a_run_whose_reader_goes_away_ends_quietly(tmp_path: Path) -> None:
     command = ["run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-9", "--out", "r"]
     with subprocess.Popen(
-        [sys.executable, "-m", "carecontact.cli", *command, "--set", "phases.time_limit_s=1"],
+        [sys.executable, "-m", "carecontact", *command, "--set", "phases.time_limit_s=1"],
         env={**os.environ, "PYTHONPATH": SOURCES},
         cwd=tmp_path,
         stdout=subprocess.PIPE,

@@ -44,7 +44,7 @@ def test_a_policy_that_fails_ends_with_status_3_and_its_traceback(tmp_path: Path
     (tmp_path / "my.py").write_text(POLICY.replace("{act}", act))
     done = subprocess.run(
         [
-            sys.executable, "-m", "carecontact.cli", "run", "--policy", "my:Faulty", "--tasks", "T1", "--seeds", "0",
+            sys.executable, "-m", "carecontact", "run", "--policy", "my:Faulty", "--tasks", "T1", "--seeds", "0",
             "--out", "r", "--fast", "--set", "phases.first_call_deadline_s=4",
         ],
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": SOURCES}, capture_output=True, text=True, check=False,

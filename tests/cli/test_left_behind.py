@@ -96,7 +96,7 @@ def command(folder: Path, wait: str, *, also: str = "leaderless") -> list[str]:
     (folder / "temporary").mkdir()
     (folder / "mine.py").write_text(PREAMBLE + POLICY.replace("WAIT", wait).replace("ALSO", also))
     return [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
+        sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
         "0-1", "--fast", "--jobs", "1", "--policy-write", "told",
     ]  # fmt: skip
 
@@ -161,7 +161,7 @@ def test_a_command_that_starts_a_policy_itself_finds_what_a_killed_keeper_leaves
     command(tmp_path, "open(os.path.join(TOLD, '0'), 'w').write(str(os.getppid())); time.sleep(600)")
     note = tmp_path / "told" / "0"
     check = subprocess.Popen(
-        [sys.executable, "-m", "carecontact.cli", "check", "mine:P", "--policy-write", "told"],
+        [sys.executable, "-m", "carecontact", "check", "mine:P", "--policy-write", "told"],
         cwd=tmp_path, stdout=subprocess.PIPE, env={**os.environ, "TMPDIR": str(tmp_path / "temporary")},
     )  # fmt: skip
     assert _soon(lambda: note.exists() and note.read_text() != "", within_s=60)

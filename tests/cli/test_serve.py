@@ -140,7 +140,7 @@ def a_server(tmp_path: Path, before: Callable[[], None] = lambda: None) -> Itera
     """A command that serves on a port. ``before`` runs in its process first."""
     (tmp_path / "mine.py").write_text(PREAMBLE + "class P(Base): pass")
     server = subprocess.Popen(
-        [sys.executable, "-m", "carecontact.cli", "serve", "mine:P", "--port", "0", "--at-once", "1"],
+        [sys.executable, "-m", "carecontact", "serve", "mine:P", "--port", "0", "--at-once", "1"],
         cwd=tmp_path, stdout=subprocess.PIPE, text=True, preexec_fn=before,
     )  # fmt: skip
     assert server.stdout is not None

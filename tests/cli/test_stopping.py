@@ -79,7 +79,7 @@ def test_nothing_is_left_running(tmp_path: Path, how: str) -> None:
     (tmp_path / "told").mkdir()
     (tmp_path / "mine.py").write_text(PREAMBLE + POLICY)
     command = [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
+        sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
         "17", "--fast", "--policy-write", "told",
     ]  # fmt: skip
     terminal = _Terminal()

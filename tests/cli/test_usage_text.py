@@ -41,7 +41,7 @@ TOLD = {
 @pytest.mark.parametrize("arguments", TOLD)
 def test_a_wrong_command_line_is_one_line_in_every_encoding(arguments: tuple[str, ...], encoding: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "carecontact.cli", *arguments],
+        [sys.executable, "-m", "carecontact", *arguments],
         env={**os.environ, "PYTHONIOENCODING": encoding},
         capture_output=True,
         text=True,

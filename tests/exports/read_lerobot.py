@@ -1,4 +1,5 @@
-"""Read a dataset with lerobot's own loader and write what it gives, for the test beside this file.
+"""Read a dataset with lerobot's own loader, take it apart with lerobot's own tools, and write what they give, for the
+test beside this file.
 
 python read_lerobot.py DATASET OUT.npz        # in an environment that has lerobot
 """
@@ -6,8 +7,10 @@ python read_lerobot.py DATASET OUT.npz        # in an environment that has lerob
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
+from lerobot.datasets.dataset_tools import delete_episodes, split_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 
@@ -15,10 +18,16 @@ def main(folder: str, out: str) -> None:
     dataset = LeRobotDataset("local/dataset", root=folder)
     rows = [dataset[k] for k in range(len(dataset))]
     arrays = {key: np.stack([np.asarray(row[key]) for row in rows]) for key in rows[0] if key != "task"}
+    parts = Path(folder).with_name("parts")
+    one = delete_episodes(dataset, episode_indices=[0], output_dir=parts / "rest", repo_id="local/rest")
+    halves = split_dataset(dataset, splits={"first": [0], "second": [1]}, output_dir=parts)
+    for name, part in (("deleted", one), *halves.items()):
+        # Opened again: the tools keep statistics in memory that they may not have written.
+        stats = LeRobotDataset(f"local/{name}", root=part.root).meta.stats or {}
+        arrays |= {f"{name}/{key}/{each}": value for key, found in stats.items() for each, value in found.items()}
     np.savez(
-        out, episodes=dataset.num_episodes, fps=dataset.fps, task=np.array([row["task"] for row in rows]),
-        mean_action=dataset.meta.stats["action"]["mean"], **arrays,
-    )  # fmt: skip
+        out, episodes=dataset.num_episodes, fps=dataset.fps, task=np.array([row["task"] for row in rows]), **arrays
+    )
 
 
 main(*sys.argv[1:])

@@ -23,7 +23,7 @@ def served(
     """Port and process of a server of class P of a module with that source. ``port`` 0: one that is free."""
     (folder / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
     command = [
-        sys.executable, "-m", "carecontact.cli", "serve", "under_test:P", "--port", str(port), "--at-once", str(at_once)
+        sys.executable, "-m", "carecontact", "serve", "under_test:P", "--port", str(port), "--at-once", str(at_once)
     ]  # fmt: skip
     server = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert server.stdout is not None

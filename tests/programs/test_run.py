@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import carecontact as cc
+from carecontact.cli import machine
 from carecontact.errors import ConfigError, DependencyError
 from carecontact.programs import frames
 from carecontact.recording import write_recording
@@ -83,13 +84,24 @@ def test_trials_are_a_table_of_any_library(runs: Path) -> None:
     assert by_task.to_dict() == {"T1": 0.5, "T2": 1.0}
 
 
+def test_the_extra_tables_brings_what_a_table_needs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    brought = machine.EXTRAS["tables"][0]
+    monkeypatch.setattr(frames, "find_spec", lambda name: name in brought or None)
+    for name in set(frames.LIBRARIES) - set(brought):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert len(cc.load(runs / "a").trials()) == 3
+
+
 def test_without_any_library_it_says_what_to_install(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = cc.load(runs / "a")
     monkeypatch.setattr(frames, "find_spec", lambda name: name == "polars")
     assert type(run.trials()).__module__.startswith("polars")
     monkeypatch.setattr(frames, "find_spec", lambda name: None)
-    with pytest.raises(DependencyError, match="neither pandas nor polars is installed: pip install pandas"):
+    with pytest.raises(DependencyError, match=r"neither pandas nor polars is installed: pip .*carecontact\[tables\]"):
         run.trials()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(DependencyError, match=r"pandas is not installed: pip install 'carecontact\[tables\]'"):
+        run.trials("pandas")
     monkeypatch.setitem(sys.modules, "polars", None)
     with pytest.raises(DependencyError, match="polars is not installed: pip install polars"):
         run.trials("polars")

@@ -19,7 +19,7 @@ from carecontact.runs import score_run
 from carecontact.runs.manifest import MANIFEST
 
 pytestmark = pytest.mark.slow
-COMMAND = (sys.executable, "-m", "carecontact.cli")
+COMMAND = (sys.executable, "-m", "carecontact")
 RUN = ("run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-3", "--set", "phases.time_limit_s=1")
 PLAN = """
 tasks = "T1"

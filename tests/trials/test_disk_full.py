@@ -68,7 +68,7 @@ def test_a_real_run_under_a_limit_of_the_file_size(tmp_path: Path) -> None:
     """The recording of 0.3 MB does not fit; with the limit gone, the same command makes it."""
     out = tmp_path / "run"
     command = [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0",
+        sys.executable, "-m", "carecontact", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0",
         "--set", "phases.time_limit_s=1", "--out", str(out), "--allow-failures",
     ]  # fmt: skip
 
@@ -99,7 +99,7 @@ def test_a_temporary_disk_without_space_is_nobodys_failure(tmp_path: Path) -> No
         "tempfile.mkdtemp = full\n"
     )
     command = [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-1",
+        sys.executable, "-m", "carecontact", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-1",
         "--set", "phases.time_limit_s=1", "--jobs", "1", "--out", str(out),
     ]  # fmt: skip
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}

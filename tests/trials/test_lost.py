@@ -221,7 +221,7 @@ class Own:
 
 
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "carecontact.cli", "run", "--policy", "own:Own", "--tasks", "T1", "--seeds", "0"]
+    command = [sys.executable, "-m", "carecontact", "run", "--policy", "own:Own", "--tasks", "T1", "--seeds", "0"]
     given = [part for argument in arguments for part in ("--policy-arg", argument)]
     return subprocess.run(
         [*command, "--policy-write", ".", "--fast", *given, "--out", "r"],

@@ -85,7 +85,7 @@ class Still:
 def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
     def run(name: str, *options: str) -> str:
         command = [
-            sys.executable, "-m", "carecontact.cli", "run", "--policy", "still:Still", "--tasks", "T1", "--seeds", "0",
+            sys.executable, "-m", "carecontact", "run", "--policy", "still:Still", "--tasks", "T1", "--seeds", "0",
             "--fast", "--out", str(tmp_path / name), *options,
         ]  # fmt: skip
         return subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path).stdout

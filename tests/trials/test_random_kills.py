@@ -102,7 +102,7 @@ def helpers() -> list[int]:
 
 def command(out: Path, trials: int) -> list[str]:
     return [
-        sys.executable, "-m", "carecontact.cli", "run", "--policy", "mine:P", "--tasks", "T1,T2",
+        sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--tasks", "T1,T2",
         "--seeds", f"0-{trials // 2 - 1}", "--set", "phases.time_limit_s=1", "--jobs", "2", "--out", str(out),
     ]  # fmt: skip
 

@@ -17,8 +17,8 @@ class Export:
     """Write what the policy of a run saw and did as a dataset for training, one episode for each trial. Nothing that
     only the scorer sees is in it, unless you ask for it."""
 
-    form: Annotated[Literal["lerobot"], tyro.conf.Positional]
-    """Format of the dataset: lerobot is LeRobotDataset v3.0."""
+    form: Annotated[Literal["lerobot", "lerobot-v2.1"], tyro.conf.Positional]
+    """Format of the dataset: lerobot is LeRobotDataset v3.0, lerobot-v2.1 the earlier format that openpi reads."""
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a run with its recordings."""
     out: Path
@@ -49,9 +49,10 @@ class Export:
                 left_out += 1
                 print(f"left out: {error}")
                 continue
-            dataset = dataset or Dataset(folder=self.out, robot=recording.header.embodiment)
+            version = "v2.1" if self.form == "lerobot-v2.1" else "v3.0"
+            dataset = dataset or Dataset(folder=self.out, robot=recording.header.embodiment, version=version)
             dataset.add(episode, name=trial_id)
-            print(f"{trial_id}: {len(episode)} rows", flush=True)
+            print(f"{trial_id}: {len(episode)} rows at {episode.fps} fps", flush=True)
         if dataset is None:
             raise ConfigError(f"{self.run}: no trial could be exported, so there is no dataset")
         dataset.close()

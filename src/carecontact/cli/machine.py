@@ -33,7 +33,7 @@ PACKAGES = {
 }
 """Name of a distribution -> the requirement that pip installs for it."""
 EXTRAS = {
-    "tables": (("pyarrow",), "results.parquet, run.trials() and export lerobot"),
+    "tables": (("pyarrow", "pandas"), "results.parquet, run.trials() and export lerobot"),
     "viz": (("av", "rerun-sdk"), "video and view"),
     "live": (("openai",), "language models"),
     "fem": (("scikit-fem",), "validate --fem"),

@@ -30,8 +30,8 @@ class Stream:
 @dataclass(frozen=True, kw_only=True)
 class Episode:
     instruction: str
-    hz: float
-    """Number of rows in a second of simulated time."""
+    fps: float
+    """Number of rows in a second of simulated time, an int where it is whole."""
     streams: dict[str, Stream]
     images: dict[str, list[npt.NDArray[np.uint8]]] = field(default_factory=dict[str, list[Any]])
     """Camera -> (H, W, 3) images, in the order in which they were sent."""
@@ -49,8 +49,8 @@ def episode_of(recording: Recording, *, force: bool = False) -> Episode:
         force: adds ``scorer.force``, the norm of the robot's summed force on each body segment [N], which no policy
             receives.
 
-    Raises RecordingError for a trial without an action, and for one of which the recording does not hold every image
-    that the policy was sent.
+    Raises RecordingError for a trial without an action, for one whose actions are not evenly spaced in time, and for
+    one of which the recording does not hold every image that the policy was sent.
     """
     header = recording.header
     title = header.spec.trial_id
@@ -72,10 +72,29 @@ def episode_of(recording: Recording, *, force: bool = False) -> Episode:
     cameras = card["cameras"] if "rgb" in card["modalities"] else []
     return Episode(
         instruction=spec.protocol.task(spec.task_id).prompt,
-        hz=float(card["control_hz"]),
+        fps=_fps(recording, title),
         streams=streams,
         images={camera: [_image(recording, title, k, camera) for k in used] for camera in cameras},
         shown=np.searchsorted(used, index),
+    )
+
+
+def _fps(recording: Recording, title: str) -> float:
+    """Return the rate at which the recorded actions began.
+
+    That is the card's control rate, or a lower one if every answer was a single action and came after a latency.
+    """
+    spec, times_s = recording.header.spec, recording["actions/time_s"]
+    dt_s, hz = spec.protocol.physics.dt_s, float((recording.header.card or {})["control_hz"])
+    wait_s = round(spec.protocol.phases.latency_s / dt_s) * dt_s
+    for rate in (round(1 / (1 / hz + wait_s), 9), hz) if wait_s else (hz,):
+        # A control period is a whole number of physics steps, and only its mean is exact.
+        if np.abs(times_s - times_s[0] - np.arange(len(times_s)) / rate).max() < 1.5 * dt_s:
+            return int(rate) if rate.is_integer() else rate
+    apart_s = np.diff(times_s)
+    raise RecordingError(
+        f"{title}: its actions are {apart_s.min():.3g} to {apart_s.max():.3g} s apart, and a dataset has one rate; "
+        "runs of policies that answer several actions at a time can be exported only without --latency-ms"
     )
 
 

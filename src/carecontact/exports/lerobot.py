@@ -1,4 +1,5 @@
-"""A LeRobotDataset, format v3.0, as lerobot 0.4 reads it: parquet files of rows with images in them, and JSON beside.
+"""A LeRobotDataset: parquet files of rows with images in them, and JSON beside. Format v3.0 is what lerobot reads since
+its release 0.4, v2.1 what openpi's trainer reads.
 
 Every episode is a data file of its own. Images are PNG inside the rows, without loss.
 """
@@ -10,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -18,12 +19,17 @@ import numpy as np
 from carecontact.errors import ConfigError, DependencyError
 from carecontact.exports.episode import Episode
 
-FORMAT = "v3.0"
+Format = Literal["v3.0", "v2.1"]
 FILES_IN_CHUNK = 1000
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA_PATHS: dict[Format, str] = {
+    "v3.0": f"data/{FILE}.parquet",
+    "v2.1": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+}
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 """Columns that every row has; the first is float32, the others are int64."""
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+IMAGE = "observation.images."
 
 
 @dataclass(kw_only=True)
@@ -32,12 +38,15 @@ class Dataset:
 
     folder: Path
     robot: str
+    version: Format = "v3.0"
     _features: dict[str, Any] = field(default_factory=dict[str, Any])
-    _hz: float = 0.0
+    _fps: float = 0.0
     _tasks: list[str] = field(default_factory=list[str])
     _episodes: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    _episode_stats: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     _columns: dict[str, list[Any]] = field(default_factory=dict[str, list[Any]])
-    _pixels: dict[str, list[Any]] = field(default_factory=dict[str, list[Any]])
+    _pixels: dict[str, Any] = field(default_factory=dict[str, Any])
+    """Column of a camera -> histogram of all its rows so far, (3, 256)."""
     _rows: int = 0
 
     def add(self, episode: Episode, *, name: str) -> None:
@@ -47,54 +56,77 @@ class Dataset:
         """
         found = features_of(episode)
         if not self._features:
-            self._features, self._hz = found, episode.hz
-        if found != self._features or episode.hz != self._hz:
+            self._features, self._fps = found, episode.fps
+        if found != self._features or episode.fps != self._fps:
             differing = sorted(
                 key for key in found.keys() | self._features.keys() if found.get(key) != self._features.get(key)
             )
-            told = ", ".join(differing) or f"a rate of {episode.hz:g} Hz and not {self._hz:g} Hz"
+            told = ", ".join(differing) or f"a rate of {episode.fps} Hz and not {self._fps} Hz"
             raise ConfigError(f"{name} cannot be in one dataset with the trials before it: it differs in {told}")
         if episode.instruction not in self._tasks:
             self._tasks.append(episode.instruction)
         number, length = len(self._episodes), len(episode)
         chunk, file = divmod(number, FILES_IN_CHUNK)
-        path = self.folder / "data" / f"{FILE.format(chunk_index=chunk, file_index=file)}.parquet"
-        rows = self._indices(episode, number)
-        _write(path, {**{key: s.values for key, s in episode.streams.items()}, **rows}, _encoded(episode))
-        for key, values in (*((key, s.values) for key, s in episode.streams.items()), *rows.items()):
+        place = {"chunk_index": chunk, "file_index": file, "episode_chunk": chunk, "episode_index": number}
+        columns = {key: s.values for key, s in episode.streams.items()} | self._indices(episode, number)
+        pixels = {IMAGE + camera: _histogram(images, episode.shown) for camera, images in episode.images.items()}
+        features = {**self._features, **_INDEX_FEATURES}
+        _write(self.folder / DATA_PATHS[self.version].format(**place), columns, _encoded(episode), features)
+        for key, values in columns.items():
             self._columns.setdefault(key, []).append(values)
-        for camera, images in episode.images.items():
-            self._pixels.setdefault(camera, []).extend(image[::8, ::8].reshape(-1, 3) for image in images)
-        self._episodes.append(
-            {
-                "episode_index": number, "tasks": [episode.instruction], "length": length,
-                "data/chunk_index": chunk, "data/file_index": file,
-                "dataset_from_index": self._rows, "dataset_to_index": self._rows + length,
-                "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
-            }
-        )  # fmt: skip
+        for key, histogram in pixels.items():
+            self._pixels[key] = self._pixels.get(key, 0) + histogram
+        self._episodes.append({"episode_index": number, "tasks": [episode.instruction], "length": length})
+        self._episode_stats.append(_stats(columns, pixels))
         self._rows += length
 
     def close(self) -> None:
         """Write the metadata. Raises ConfigError for a dataset without an episode."""
         if not self._episodes:
             raise ConfigError(f"{self.folder}: no trial could be exported, so there is no dataset")
-        arrow, parquet = _pyarrow()
         meta = self.folder / "meta"
-        (meta / "episodes" / "chunk-000").mkdir(parents=True, exist_ok=True)
+        meta.mkdir(parents=True, exist_ok=True)
         (meta / "info.json").write_text(json.dumps(self._info(), indent=4) + "\n")
-        (meta / "stats.json").write_text(json.dumps(self._stats(), indent=4) + "\n")
+        if self.version == "v2.1":
+            stats = [{"episode_index": k, "stats": found} for k, found in enumerate(self._episode_stats)]
+            tasks = [{"task_index": k, "task": task} for k, task in enumerate(self._tasks)]
+            for file, lines in (("episodes", self._episodes), ("episodes_stats", stats), ("tasks", tasks)):
+                (meta / f"{file}.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+            return
+        arrow, parquet = _pyarrow()
+        whole = _stats({key: np.concatenate(parts) for key, parts in self._columns.items()}, self._pixels)
+        (meta / "stats.json").write_text(json.dumps(whole, indent=4) + "\n")
+        (meta / "episodes" / "chunk-000").mkdir(parents=True, exist_ok=True)
         parquet.write_table(
-            arrow.Table.from_pylist(self._episodes),
+            arrow.Table.from_pylist(self._episode_rows()),
             meta / "episodes" / f"{FILE.format(chunk_index=0, file_index=0)}.parquet",
         )
         parquet.write_table(_task_table(self._tasks), meta / "tasks.parquet")
+
+    def _episode_rows(self) -> list[dict[str, Any]]:
+        """Return what v3.0 has of each episode. lerobot's tools compute the statistics of a changed dataset from the
+        columns ``stats/FEATURE/NAME``."""
+        rows: list[dict[str, Any]] = []
+        begin = 0
+        for episode, stats in zip(self._episodes, self._episode_stats, strict=True):
+            chunk, file = divmod(episode["episode_index"], FILES_IN_CHUNK)
+            end = begin + episode["length"]
+            rows.append(
+                {
+                    **episode, "data/chunk_index": chunk, "data/file_index": file,
+                    "dataset_from_index": begin, "dataset_to_index": end,
+                    **{f"stats/{key}/{name}": v for key, found in stats.items() for name, v in found.items()},
+                    "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
+                }
+            )  # fmt: skip
+            begin = end
+        return rows
 
     def _indices(self, episode: Episode, number: int) -> dict[str, Any]:
         frames = np.arange(len(episode), dtype=np.int64)
         task = self._tasks.index(episode.instruction)
         return {
-            "timestamp": (frames / episode.hz).astype(np.float32),
+            "timestamp": (frames / episode.fps).astype(np.float32),
             "frame_index": frames,
             "episode_index": np.full(len(episode), number, np.int64),
             "index": frames + self._rows,
@@ -102,36 +134,30 @@ class Dataset:
         }
 
     def _info(self) -> dict[str, Any]:
-        indices = {
-            name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
-            for name in INDICES
-        }
+        count = len(self._episodes)
+        if self.version == "v2.1":
+            own = {"total_videos": 0, "total_chunks": -(-count // FILES_IN_CHUNK)}
+        else:
+            own = {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
         return {
-            "codebase_version": FORMAT,
+            "codebase_version": self.version,
             "robot_type": self.robot,
-            "total_episodes": len(self._episodes),
+            "total_episodes": count,
             "total_frames": self._rows,
             "total_tasks": len(self._tasks),
             "chunks_size": FILES_IN_CHUNK,
-            "data_files_size_in_mb": 100,
-            "video_files_size_in_mb": 200,
-            "fps": int(self._hz) if self._hz == int(self._hz) else self._hz,
-            "splits": {"train": f"0:{len(self._episodes)}"},
-            "data_path": f"data/{FILE}.parquet",
+            **own,
+            "fps": self._fps,
+            "splits": {"train": f"0:{count}"},
+            "data_path": DATA_PATHS[self.version],
             "video_path": None,
-            "features": {**self._features, **indices},
+            "features": {**self._features, **_INDEX_FEATURES},
         }
 
-    def _stats(self) -> dict[str, Any]:
-        """Return statistics of every column over all rows; of images over every eighth pixel each way of every image,
-        in [0, 1]."""
-        stats = {key: _statistics(np.concatenate(parts)) for key, parts in self._columns.items()}
-        for camera, parts in self._pixels.items():
-            found = _statistics(np.concatenate(parts) / 255.0)
-            count = found.pop("count")
-            images = {name: [[[v]] for v in values] for name, values in found.items()}
-            stats[f"observation.images.{camera}"] = {**images, "count": count}
-        return stats
+
+_INDEX_FEATURES = {
+    name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in INDICES
+}
 
 
 def features_of(episode: Episode) -> dict[str, Any]:
@@ -142,9 +168,7 @@ def features_of(episode: Episode) -> dict[str, Any]:
     }
     for camera, images in episode.images.items():
         shape = list(images[0].shape)
-        features[f"observation.images.{camera}"] = {
-            "dtype": "image", "shape": shape, "names": ["height", "width", "channels"]
-        }  # fmt: skip
+        features[IMAGE + camera] = {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]}
     return features
 
 
@@ -153,11 +177,13 @@ def _encoded(episode: Episode) -> dict[str, list[dict[str, Any]]]:
     columns: dict[str, list[dict[str, Any]]] = {}
     for camera, images in episode.images.items():
         png = [{"bytes": cv2.imencode(".png", image[:, :, ::-1])[1].tobytes(), "path": None} for image in images]
-        columns[f"observation.images.{camera}"] = [png[k] for k in episode.shown]
+        columns[IMAGE + camera] = [png[k] for k in episode.shown]
     return columns
 
 
-def _write(path: Path, columns: dict[str, Any], images: dict[str, list[dict[str, Any]]]) -> None:
+def _write(
+    path: Path, columns: dict[str, Any], images: dict[str, list[dict[str, Any]]], features: dict[str, Any]
+) -> None:
     arrow, parquet = _pyarrow()
     arrays: dict[str, Any] = {}
     for name, values in columns.items():
@@ -165,9 +191,19 @@ def _write(path: Path, columns: dict[str, Any], images: dict[str, list[dict[str,
         arrays[name] = arrow.array(values.reshape(-1) if flat else list(values))
     kind = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
     arrays |= {name: arrow.array(rows, type=kind) for name, rows in images.items()}
+    # The library `datasets`, by which lerobot reads the file, learns from this which columns are images.
+    kinds = {name: _kind(features[name]) for name in arrays}
+    table = arrow.table(arrays).replace_schema_metadata({"huggingface": json.dumps({"info": {"features": kinds}})})
     path.parent.mkdir(parents=True, exist_ok=True)
     # Rows that show the same image share its bytes in a file whose dictionary has room for all of them.
-    parquet.write_table(arrow.table(arrays), path, dictionary_pagesize_limit=1 << 30)
+    parquet.write_table(table, path, dictionary_pagesize_limit=1 << 30)
+
+
+def _kind(feature: dict[str, Any]) -> dict[str, Any]:
+    if feature["dtype"] == "image":
+        return {"_type": "Image"}
+    value = {"dtype": feature["dtype"], "_type": "Value"}
+    return value if feature["shape"] == [1] else {"feature": value, "_type": "Sequence"}
 
 
 def _task_table(tasks: Iterable[str]) -> Any:
@@ -188,12 +224,41 @@ def _task_table(tasks: Iterable[str]) -> Any:
     return table.replace_schema_metadata({"pandas": json.dumps(about)})
 
 
-def _statistics(values: Any) -> dict[str, Any]:
-    """(N, D) or (N,) -> lists of D numbers."""
-    columns = np.asarray(values, float).reshape(len(values), -1)
-    found = {"min": columns.min(0), "max": columns.max(0), "mean": columns.mean(0), "std": columns.std(0)}
-    found |= {name: np.quantile(columns, q, axis=0) for name, q in QUANTILES.items()}
-    return {**{name: row.tolist() for name, row in found.items()}, "count": [len(columns)]}
+def _stats(columns: dict[str, Any], pixels: dict[str, Any]) -> dict[str, Any]:
+    """Statistics of every column of rows, in lerobot's shapes: a list of numbers, and (3, 1, 1) for an image in [0, 1].
+
+    Args:
+        columns: name -> (N, D) or (N,).
+        pixels: column of a camera -> histogram of its rows (3, 256).
+    """
+    stats: dict[str, Any] = {}
+    rows = len(columns["index"])
+    for key, values in columns.items():
+        numbers = np.asarray(values, float).reshape(rows, -1)
+        found = {"min": numbers.min(0), "max": numbers.max(0), "mean": numbers.mean(0), "std": numbers.std(0)}
+        found |= {name: np.quantile(numbers, q, axis=0) for name, q in QUANTILES.items()}
+        stats[key] = {**{name: row.tolist() for name, row in found.items()}, "count": [rows]}
+    levels = np.arange(256) / 255
+    for key, histogram in pixels.items():
+        mean = [np.average(levels, weights=channel) for channel in histogram]
+        found = {
+            "min": [levels[channel > 0].min() for channel in histogram],
+            "max": [levels[channel > 0].max() for channel in histogram],
+            "mean": mean,
+            "std": [np.average((levels - m) ** 2, weights=c) ** 0.5 for m, c in zip(mean, histogram, strict=True)],
+        }
+        for name, q in QUANTILES.items():
+            found[name] = [np.quantile(levels, q, weights=c, method="inverted_cdf") for c in histogram]
+        stats[key] = {**{name: [[[float(v)]] for v in row] for name, row in found.items()}, "count": [rows]}
+    return stats
+
+
+def _histogram(images: list[Any], shown: Any) -> Any:
+    """(3, 256) how often each channel has each level, over all pixels of all rows."""
+    total = np.zeros((3, 256), np.int64)
+    for image, rows in zip(images, np.bincount(shown, minlength=len(images)), strict=True):
+        total += rows * np.array([np.bincount(image[:, :, channel].ravel(), minlength=256) for channel in range(3)])
+    return total
 
 
 def _pyarrow() -> tuple[Any, Any]:

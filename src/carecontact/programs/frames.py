@@ -33,7 +33,8 @@ def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) 
     try:
         made = import_module(chosen)
     except ModuleNotFoundError:
-        raise DependencyError(f"{chosen} is not installed: pip install {chosen}") from None
+        package = "'carecontact[tables]'" if chosen == "pandas" else chosen
+        raise DependencyError(f"{chosen} is not installed: pip install {package}") from None
     if chosen == "polars":
         return made.from_arrow(table)
     # Whole numbers, truths and texts with NA keep their types; without this, pandas makes them floats and objects.
@@ -45,7 +46,7 @@ def _installed() -> FrameLibrary:
         return "pandas"
     if find_spec("polars"):
         return "polars"
-    raise DependencyError("neither pandas nor polars is installed: pip install pandas, or ask for library='pyarrow'")
+    raise DependencyError("neither pandas nor polars is installed: pip install 'carecontact[tables]'")
 
 
 def _nullable(pandas: Any) -> Any:

@@ -262,9 +262,15 @@ def test_targets_in_degrees_are_named() -> None:
     [
         ({}, "openpi://127.0.0.1:{}", r"says nothing of itself.*\?profile=pi05-droid or \?profile=pi05-droid-jointpos"),
         ({"reset_pose": [0]}, "openpi://127.0.0.1:{}", "says only reset_pose of itself"),
-        ({}, ARENA, r"expected the field action_space \(.*\), got \[\]"),
+        ({}, ARENA, r"expected the field action_space \(.*\), got \[\]; .*is openpi://HOST:PORT\?profile=NAME, one of"),
         ({"action_space": "cartesian_velocity"}, "openpi://127.0.0.1:{}", "got 'cartesian_velocity'; no other one"),
-        ({"action_space": "joint_position"}, VELOCITY, "action_space is 'joint_position' in the server's metadata and"),
+        (
+            {"action_space": "joint_position"}, VELOCITY,
+            r"action_space is 'joint_position' in .* metadata and 'joint_velocity' in the profile; the address "
+            r"that fits has \?profile=pi05-droid-jointpos or no profile$",
+        ),
+        ({"action_space": "cartesian_velocity"}, VELOCITY, "in the profile; no profile fits$"),
+        ({"needs_stereo_camera": True}, POSITION, "in the profile; no profile fits$"),
         ({"action_space": "joint_velocity"}, "openpi://127.0.0.1:{}?horizon=3", "leave horizon out"),
         (
             {"action_space": "joint_velocity", "needs_stereo_camera": True}, ARENA,

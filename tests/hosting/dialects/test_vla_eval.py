@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from pathlib import Path
 
 import msgpack
 import numpy as np
 import pytest
 
+from carecontact.cli import main
 from carecontact.errors import PolicyError
 from tests.hosting.dialects.fakes import VlaEval
 from tests.hosting.dialects.given import picture
@@ -15,6 +18,7 @@ from tests.hosting.dialects.talking import INSTRUCTION, JOINTS, joints, policy_a
 from tests.policies.synthetic import SESSION
 
 ADDRESS = "vla-eval://127.0.0.1:{}"
+EITHER = r"\?space=joint_position or \?space=droid_joint_velocity"
 RAW = {"actions": {"name": "raw", "dims": 0, "format": "raw"}}
 BOTH = {"send_wrist_image": True, "send_state": True}
 
@@ -64,7 +68,14 @@ def test_what_the_server_does_not_ask_for_is_neither_rendered_nor_sent() -> None
         (spec(joints={"dims": 7, "format": "joint_pos_abs"}), "", "joint_position"),
         (spec(joints={"dims": 7, "format": "joint_positions"}, gripper={"dims": 1}), "", "joint_position"),
         (spec(**RAW), "?space=droid_joint_velocity", "droid_joint_velocity"),
+        (spec(action={"dims": 8, "format": "raw"}), "?space=joint_position", "joint_position"),
         ({"observation_params": BOTH}, "?space=joint_position", "joint_position"),
+        (spec(joints={"dims": 7, "format": "joint_positions"}), "?space=joint_position", "joint_position"),
+        (
+            spec(joints={"dims": 7, "format": "joint_velocity"}),
+            "?space=droid_joint_velocity",
+            "droid_joint_velocity",
+        ),
     ],
 )
 def test_the_space_comes_from_a_known_spec_or_from_the_address(
@@ -79,11 +90,14 @@ def test_the_space_comes_from_a_known_spec_or_from_the_address(
 @pytest.mark.parametrize(
     ("payload", "says"),
     [
-        ({}, "the server does not say what its actions mean; name the space in the address"),
-        (spec(**RAW), r"the server's actions are actions \(0 of 'raw'\), of which no action space here is known"),
-        (spec(joints={"dims": 7, "format": "joint_velocity"}), r"joints \(7 of 'joint_velocity'\)"),
-        (spec(joints={"dims": 14, "format": "joint_positions"}), r"joints \(14 of 'joint_positions'\)"),
-        (spec(position={"dims": 3, "format": "delta_xyz"}), r"\?space=joint_position or \?space=droid_joint_velocity"),
+        ({}, f"the server does not say what its actions mean; name the space in the address: {EITHER}$"),
+        (spec(**RAW), rf"its actions are actions \(0 of 'raw'\); name the space in the address: {EITHER}$"),
+        (
+            spec(joints={"dims": 7, "format": "joint_velocity"}),
+            r"joints \(7 of 'joint_velocity'\); if it fits, name the space in the address: "
+            r"\?space=droid_joint_velocity$",
+        ),
+        ({"action_spec": [1]}, r"action_spec: expected a map, got \[1\]"),
         ({"observation_params": {"send_video_history": True}}, "the server asks for send_video_history"),
         ({"observation_params": [1]}, "observation_params: expected a map"),
         ({"protocol_version": 2}, "expected protocol_version 1, got 2"),
@@ -93,6 +107,70 @@ def test_a_server_whose_actions_nobody_knows_is_refused(payload: dict[str, objec
     with VlaEval(payload=payload).running() as port, pytest.raises(PolicyError, match=says) as caught:
         talk(ADDRESS.format(port))
     assert caught.value.kind == "handshake"
+
+
+DELTAS = {
+    "position": {"dims": 3, "format": "delta_xyz"},
+    "rotation": {"dims": 3, "format": "axis_angle"},
+    "gripper": {"dims": 1, "format": "binary_close_positive"},
+}
+
+
+@pytest.mark.parametrize("query", ["", "?space=joint_position", "?space=droid_joint_velocity"])
+@pytest.mark.parametrize(
+    ("parts", "told"),
+    [
+        (DELTAS, r"gripper \(1 of 'binary_close_positive'\), position \(3 of 'delta_xyz'\), rotation \(3 of"),
+        ({"position": {"dims": 3, "format": "absolute_xyz"}}, r"position \(3 of 'absolute_xyz'\)"),
+        ({"joints": {"dims": 7, "format": "joint_delta_pos"}}, r"joints \(7 of 'joint_delta_pos'\)"),
+        ({"joints": {"dims": 14, "format": "joint_positions"}}, r"joints \(14 of 'joint_positions'\)"),
+        ({"joints": {"dims": np.arange(2), "format": np.arange(2)}}, r"joints \("),
+        ({"actions": {"dims": 14, "format": "raw"}}, r"actions \(14 of 'raw'\)"),
+        ({"joints": {"dims": 7, "format": "joint_positions"}, "base_motion": {"dims": 4, "format": "raw"}}, "base_m"),
+        ({"joints": 7}, "'joints'"),
+        ({"gripper": {"dims": 1, "format": "raw"}}, "gripper"),
+    ],
+)
+def test_actions_that_no_space_executes_are_refused_and_no_address_helps(
+    parts: dict[str, object], told: str, query: str
+) -> None:
+    says = f"the server says that its actions are .*{told}.*, which no action space here executes; expected joints"
+    with (
+        VlaEval(payload=spec(**parts)).running() as port,
+        pytest.raises(PolicyError, match=says) as caught,
+        policy_at(ADDRESS.format(port) + query) as policy,
+    ):
+        policy.start()
+    assert caught.value.kind == "handshake"
+    assert "space=" not in str(caught.value).partition("failed at start")[2]
+
+
+@pytest.mark.parametrize(
+    ("form", "named", "remedy"),
+    [
+        ("joint_positions", "droid_joint_velocity", "leave space out"),
+        ("joint_pos_abs", "droid_joint_velocity", "leave space out"),
+        ("joint_velocity", "joint_position", r"\?space=droid_joint_velocity would fit"),
+    ],
+)
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_an_address_that_contradicts_the_server_is_an_error_before_the_first_trial(
+    form: str, named: str, remedy: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    server = VlaEval(payload=spec(joints={"dims": 7, "format": form}, gripper={"dims": 1, "format": "continuous_01"}))
+    with server.running() as port:
+        address = ADDRESS.format(port) + f"?space={named}"
+        if command == "check":
+            assert main(["check", address]) == 1
+        else:
+            assert main(["run", "--policy", address, "--out", "r", "--tasks", "T1", "--seeds", "0"]) == 2
+    shown = capsys.readouterr()
+    says = rf"joints \(7 of '{form}'\), but the address says \?space={named}; {remedy}"
+    assert re.search(says, " ".join((shown.out + shown.err).split()))
+    assert {message["type"] for message in server.heard} == {"hello"}
+    assert not list(tmp_path.glob("r/*.h5"))
 
 
 def envelope(**changes: object) -> bytes:

@@ -25,6 +25,7 @@ from carecontact.hosting.dialects.profiles import (
     card_of,
     contradiction,
     describes_itself,
+    fitting,
     named_profile,
     told_profile,
 )
@@ -83,7 +84,7 @@ class OpenpiClient(Client):
             return told_profile(metadata, self._options)
         profile = named_profile(self._options)
         if wrong := contradiction(profile, metadata):
-            raise PolicyError("handshake", f"{wrong}: name the other profile, or none")
+            raise PolicyError("handshake", f"{wrong}; {fitting(metadata)}")
         return profile
 
     def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NoReturn, cast
 
@@ -154,6 +155,15 @@ def contradiction(profile: Profile, metadata: Mapping[str, object]) -> str:
     return ""
 
 
+def fitting(metadata: Mapping[str, object]) -> str:
+    """Return which addresses the metadata of a server do not contradict, in words."""
+    fits = [f"?profile={name}" for name, profile in PROFILES.items() if not contradiction(profile, metadata)]
+    with suppress(PolicyError):
+        told_profile(metadata, {})
+        fits.append("no profile")
+    return f"the address that fits has {' or '.join(fits)}" if fits else "no profile fits"
+
+
 def card_of(profile: Profile, *, dialect: str) -> PolicyCard:
     """Make the card of a server that sends none. Its arguments hold all that decides what is sent (``profile_of``)."""
     return PolicyCard(
@@ -198,5 +208,6 @@ def _resolution(value: object) -> tuple[int, int] | None:
 
 
 def _refuse(why: str, *, ask: bool = False) -> NoReturn:
-    remedy = f"; name a profile in the address, ?profile=NAME with NAME one of {', '.join(PROFILES)}" if ask else ""
+    names = ", ".join(PROFILES)
+    remedy = f"; the address of an openpi server is openpi://HOST:PORT?profile=NAME, one of {names}" if ask else ""
     raise PolicyError("handshake", f"the server's metadata: {why}{remedy}")

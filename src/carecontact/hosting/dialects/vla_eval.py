@@ -29,12 +29,18 @@ PROTOCOL = 1
 HELLO: dict[str, object] = {"harness_version": "carecontact", "protocol_version": PROTOCOL}
 EXTERIOR, WRIST = "exo_camera_1", "wrist_camera"
 """Names of the two pictures, as in vla-eval's DROID benchmark; servers use their order."""
-FORMATS = {
-    "joint_position": ("joint_pos_abs", "joint_positions"),
-    "droid_joint_velocity": (),
+SPACES = {
+    "joint_pos_abs": ("joint_position",),
+    "joint_positions": ("joint_position",),
+    "joint_velocity": ("droid_joint_velocity",),
+    "raw": ("joint_position", "droid_joint_velocity"),
 }
-"""Our action space -> formats of a DimSpec of seven joints with the same meaning. A server's ``joint_velocity`` states
-neither rad/s nor a normalisation, so that the address has to name the space."""
+"""Format in the DimSpec of a server's joints -> our action spaces that may be meant."""
+CERTAIN = ("joint_pos_abs", "joint_positions")
+"""Formats that need no word of the address: ``joint_velocity`` states neither rad/s nor a normalisation, ``raw``
+nothing."""
+RAW_NAMES, RAW_DIMS = ("actions", "action", "joints"), (0, JOINTS, WIDTH)
+"""Names and sizes of raw actions that may be seven joints, with or without the gripper; 0 is a size not stated."""
 KEYS = {
     "hello": ("harness_version", "protocol_version"),
     "episode_start": ("task", "task.name"),
@@ -145,7 +151,7 @@ def _card(hello: Mapping[str, object], options: Mapping[str, str]) -> PolicyCard
             f"{', '.join(WANTS)}",
         )
     wrist, state = (bool(wanted.get(name, False)) for name in WANTS)
-    space = options.get("space") or _space(hello.get("action_spec"))
+    space = _space(hello.get("action_spec") or {}, options.get("space"))
     return PolicyCard(
         name="vla-eval",
         action_space=space,
@@ -158,27 +164,47 @@ def _card(hello: Mapping[str, object], options: Mapping[str, str]) -> PolicyCard
     )
 
 
-def _space(spec: object) -> str:
-    """Return our action space for a server's specification of its actions. Raises PolicyError ``handshake`` if none
-    fits.
+def _space(spec: object, named: str | None) -> str:
+    """Return our action space for a server's specification of its actions, and the space that the address names.
+
+    Raises PolicyError ``handshake`` if no space here executes such actions, if the named one is another than the
+    server's, and if nothing decides between several.
     """
-    remedy = f"name the space in the address: ?space={' or ?space='.join(FORMATS)}"
-    if not is_map(spec) or not spec:
-        raise PolicyError("handshake", f"the server does not say what its actions mean; {remedy}")
-    joints, others = spec.get("joints"), sorted(set(spec) - {"joints", "gripper"})
-    if is_map(joints) and not others and joints.get("dims") == JOINTS:
-        for space, formats in FORMATS.items():
-            if joints.get("format") in formats:
-                return space
+    if not is_map(spec):
+        raise PolicyError("handshake", f"action_spec: expected a map, got {spec!r:.80}")
     told = ", ".join(
         f"{name} ({part.get('dims')!r:.20} of {part.get('format')!r:.40})" if is_map(part) else f"{name!r:.40}"
         for name, part in sorted(spec.items())[:8]
     )
-    raise PolicyError(
-        "handshake",
-        f"the server's actions are {told}, of which no action space here is known; if they are {JOINTS} joints and a "
-        f"gripper, {remedy}",
-    )
+    said = f"the server says that its actions are {told}" if told else "the server does not say what its actions mean"
+    spaces, certain = _meant(spec) if spec else (SPACES["raw"], False)
+    if not spaces:
+        *known, last = (repr(name) for name in SPACES if name != "raw")
+        raise PolicyError(
+            "handshake",
+            f"{said}, which no action space here executes; expected joints ({JOINTS} of {', '.join(known)} or {last}) "
+            "and nothing else but a gripper",
+        )
+    if named is not None and named not in spaces:
+        remedy = "leave space out" if certain else f"?space={spaces[0]} would fit"
+        raise PolicyError("handshake", f"{said}, but the address says ?space={named}; {remedy}")
+    if named is None and not certain:
+        only = "if it fits, " if len(spaces) == 1 else ""
+        raise PolicyError(
+            "handshake", f"{said}; {only}name the space in the address: ?space={' or ?space='.join(spaces)}"
+        )
+    return named or spaces[0]
+
+
+def _meant(spec: Mapping[str, object]) -> tuple[tuple[str, ...], bool]:
+    """Return which of our action spaces a specification may mean, and whether it states so by itself."""
+    parts = [(name, part) for name, part in spec.items() if name != "gripper"]
+    if len(parts) != 1 or not is_map(part := parts[0][1]):
+        return (), False
+    name, form, dims = parts[0][0], str(part.get("format")), part.get("dims")
+    names, sizes = (RAW_NAMES, RAW_DIMS) if form == "raw" else (("joints",), (JOINTS,))
+    known = name in names and isinstance(dims, int) and dims in sizes
+    return SPACES.get(form, ()) if known else (), form in CERTAIN
 
 
 def _payload(frame: bytes | str, kind: str, *, seq: int) -> Mapping[str, object]:

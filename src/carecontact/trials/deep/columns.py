@@ -72,8 +72,8 @@ def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[Finding]:
         elif from_now < NEARER * from_zero:
             yield _warning(
                 "velocities",
-                f"{near}: they look like targets, but the action space is velocities; name the profile or space of "
-                "joint positions",
+                f"{near}: they look like targets, but the action space is velocities: checkpoint, profile or space is "
+                "the wrong one",
             )
         elif largest > NORMALISED:
             share = float((np.abs(joints) > 1).mean())
@@ -88,8 +88,8 @@ def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[Finding]:
         elif from_zero < NEARER * from_now and largest <= NORMALISED:
             yield _warning(
                 "targets",
-                f"{near}: they look like velocities or differences, but the action space is joint angles; name the "
-                "profile or space of velocities, or add the angles to the differences",
+                f"{near}: they look like velocities or differences, but the action space is joint angles: checkpoint, "
+                "profile or space is the wrong one, or the server has to add the angles",
             )
 
 

@@ -1,7 +1,0 @@
-"""``python -m carecontact.cli``, for where the ``carecontact`` script is not on the path."""
-
-import sys
-
-from carecontact.cli import main
-
-sys.exit(main())
