@@ -51,3 +51,9 @@ def test_the_error_of_work_is_that_of_all_trials_together() -> None:
     thin = agreement(DEPTH, (LINE, 0.9 * LINE), (LINE, 0.8 * LINE))
     wide = agreement(DEPTH, (LINE, 0.5 * LINE), (LINE, 0.5 * LINE))
     assert pooled([thin, wide])["work_error"] == pytest.approx((0.2 + 0.5) / (0.1 + 0.5) - 1)
+
+
+def test_a_loop_without_losses_has_an_error_all_the_same() -> None:
+    """Relative to a hundredth of the work of the loading."""
+    one = agreement(DEPTH, (LINE, LINE), (LINE, 0.95 * LINE))
+    assert pooled([one])["work_error"] == pytest.approx(0.05 / 0.01 - 1)

@@ -11,6 +11,9 @@ from carecontact.calibration.trial import Array
 
 UPPER = 0.5
 """Tangent stiffness is the slope over the depths from this share of the deepest point on."""
+LEAST_LOSS = 0.01
+"""A measured loop that loses less than this share of the work of the loading counts as losing so much: the error of
+lost work is relative to it, and friction makes every simulated loop lose some."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,13 +62,16 @@ def tangent(depth: Array, force: Array) -> float:
 def lost_work(
     depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]
 ) -> tuple[float, float] | None:
-    """Return the work [J] that both loops enclose at depths where both have both ways; None if these are too few."""
+    """Return the work [J] that both loops enclose at depths where both have both ways; None if these are too few.
+
+    See LEAST_LOSS.
+    """
     loops = measured[0] - measured[1], simulated[0] - simulated[1]
     both = np.isfinite(loops[0]) & np.isfinite(loops[1])
     if both.sum() <= 3:
         return None
     lost = [float(np.trapezoid(loop[both], depth[both])) for loop in loops]
-    return lost[0], lost[1]
+    return max(lost[0], LEAST_LOSS * float(np.trapezoid(measured[0][both], depth[both]))), lost[1]
 
 
 def work_error(lost: list[tuple[float, float] | None]) -> float | None:

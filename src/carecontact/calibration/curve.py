@@ -22,7 +22,7 @@ SPIKE_SHARE = 0.1
 FLAT = 0.1
 """A force whose slope over depth is below this share of the secant stiffness has a plateau. The tangent of soft tissue
 grows with depth."""
-FLAT_SHARES = (0.15, 0.3, 0.5)
+FLAT_SHARES = (0.6, 0.45, 0.3, 0.15)
 """Parts of the loading, from the deepest point up, in which a plateau is looked for."""
 CONSTANT_SHARE = 0.05
 """A largest force that stays the same to the last digit over this share of the depth is a limit of the sensor."""

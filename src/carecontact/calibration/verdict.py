@@ -31,10 +31,10 @@ def check_replayable(ratio: float, region: str) -> None:
 
 
 def reasons(content: Content) -> list[str]:
-    """Return why the calibration is rejected, one sentence each; none if it is accepted."""
+    """Return why the calibration is rejected, one sentence each, causes first; none if it is accepted."""
     return [
-        *_beyond_limits(content),
         *_implausible(content),
+        *_beyond_limits(content),
         *(
             f"the estimate of {name} is {value.value:.4g} and lies outside its own interval, {value.ci95[0]:.4g} to "
             f"{value.ci95[1]:.4g}: the fit is not one that resampled trials would give"
@@ -76,8 +76,8 @@ def _implausible(content: Content) -> Iterator[str]:
 
 
 def _of_published(ratio: float, region: str) -> str:
-    name = region.replace("_", " ")
-    return f"the measured forces are {ratio:.2g} times those of a published {name} under the same presses"
+    name, times = region.replace("_", " "), f"{float(f'{ratio:.2g}'):g}"
+    return f"the measured forces are {times} times those of a published {name} under the same presses"
 
 
 def _inside(value: float, interval: tuple[float, float]) -> bool:
