@@ -13,8 +13,13 @@ import pytest
 from carecontact.calibration import replay
 from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
 from carecontact.calibration.content import hardly_identified
+from carecontact.calibration.trial import template
+from carecontact.calibration.verdict import reasons
 from carecontact.cli import main
+from carecontact.cli.groups import RulesGroup
+from carecontact.errors import ConfigError
 from carecontact.kernel import found
+from carecontact.programs.evaluate import evaluate
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.sim.bench import Bench
@@ -22,13 +27,16 @@ from carecontact.world.human.versions import BUILDS, Build
 from tests.calibration.conftest import HEADER, save
 
 
-def presses(count: int) -> list[str]:
-    """Loading only, F = 0.25 d + 0.05 d^2 [N, mm] to 3 mm at 20 mm/s with a ball, a few percent apart."""
+def presses(count: int, *, cell_n: float = np.inf, factor: float = 1.0) -> list[str]:
+    """Loading only, F = 0.25 d + 0.05 d^2 [N, mm] to 3 mm at 20 mm/s with a ball, a few percent apart.
+
+    ``cell_n``: where the load cell saturates; ``factor``: of another unit of force.
+    """
     out = []
     for number in range(count):
         travel = np.linspace(-1.0, 3.0, 80)
         d = np.maximum(travel, 0.0)
-        force = (0.25 * d + 0.05 * d**2) * (1 + 0.03 * (number - 1))
+        force = factor * np.minimum((0.25 * d + 0.05 * d**2) * (1 + 0.03 * (number - 1)), cell_n)
         out += [
             f"t{number},forearm synthetic,p{number},{(s + 1) / 20:.5f},{s:.5f},{f:.5f},load,20,hemisphere,10,0,none"
             for s, f in zip(travel, force, strict=True)
@@ -59,9 +67,9 @@ def test_presses_are_replayed_with_the_contact_of_the_protocols_person(
     monkeypatch.setattr(replay, "Bench", Kept)
     trials, out = save(tmp_path / "trials.csv", presses(1)), tmp_path / "out"
     command = ["calibrate", str(trials), "--region", "forearm", "--out", str(out), "--protocol", protocol]
-    assert main(command) == 0
+    assert main(command) == 1, "a single trial is rejected"
     assert read_certificate(out / "certificate.json").content.versions.get("person") == person
-    assert main(["calibrate", str(trials), "--verify", str(out / "certificate.json")]) == 0
+    assert main(["calibrate", str(trials), "--verify", str(out / "certificate.json")]) == 1
     assert built == [BUILDS["person-v2" if person else "person-v1"]] * 2
 
 
@@ -76,7 +84,7 @@ def test_certificate_says_what_was_found(made: Path) -> None:
     assert 0 < low <= high
     # Trials that do not unload say nothing of damping.
     assert content.law["damping_ns_m3"].value is None
-    assert content.agreement["loop_error"].value is None
+    assert content.agreement["work_error"].value is None
     assert any("no trial unloads" in note for note in content.notes)
     assert any("held-out NRMSE" in line for line in content.terms)
     assert content.versions["kernel"] == found.sha256()
@@ -177,6 +185,11 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
         (lambda c: {"hashes": {**c.hashes, "body": "0" * 64}}, "another man-adult: sha256 000000000000"),
         (lambda c: {"hashes": {"data": c.hashes["data"]}}, "no hash of: body, mesh, model"),
         (lambda c: {"versions": {}}, "mujoco"),
+        (lambda c: {"limits": {**c.limits, "nrmse": 0.5}}, "accepts errors up to"),
+        (lambda c: {"held_out": {**c.held_out, "nrmse": Value(value=0.2, ci95=None)}}, "held-out NRMSE 20.0%"),
+        (lambda c: {"verdict": "rejected"}, "says rejected, its own figures: accepted"),
+        (lambda c: {"tissue": c.tissue.model_copy(update={"calibration": None})}, "its tissue row nothing"),
+        (lambda c: {"plateaus": {"t0": 1.0}}, "its own figures: the force stays the same"),
         (lambda c: {"versions": {"mujoco": c.versions["mujoco"]}}, "the kernel that made it"),
     ],
     ids=[
@@ -196,6 +209,11 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
         "body",
         "hashes",
         "versions",
+        "limits",
+        "verdict",
+        "rejected",
+        "row's verdict",
+        "plateaus",
         "kernel",
     ],
 )
@@ -270,11 +288,14 @@ def test_changed_certificate_is_refused(made: Path, capsys: pytest.CaptureFixtur
 
 def test_a_single_trial_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trials = save(tmp_path / "t.csv", presses(1))
-    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 0
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 1
     content = read_certificate(tmp_path / "out" / "certificate.json").content
     assert content.held_out is None
     assert content.law["a_n_m3"].ci95 is None
-    assert "a single trial" in capsys.readouterr().out
+    assert content.tissue.calibration is not None
+    assert content.tissue.calibration.nrmse is None
+    assert load_tissue_set(str(tmp_path / "out" / "tissue.toml")).tissue["forearm"] == content.tissue
+    assert "a single trial leaves nothing to hold out" in capsys.readouterr().out
 
 
 def test_damping_of_a_single_trial_has_no_interval_and_says_so(tmp_path: Path) -> None:
@@ -286,18 +307,121 @@ def test_damping_of_a_single_trial_has_no_interval_and_says_so(tmp_path: Path) -
             force = share * (0.25 * d + 0.05 * d**2)
             rows.append(f"t0,forearm synthetic,p0,{t:.5f},{s:.5f},{force:.5f},{phase},20,hemisphere,10,0,none")
     trials = save(tmp_path / "t.csv", rows)
-    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 0
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 1
     content = read_certificate(tmp_path / "out" / "certificate.json").content
     assert content.law["damping_ns_m3"].ci95 is None
     assert "single trial" in content.damping
 
 
 def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    trials = save(tmp_path / "t.csv", presses(1), header=HEADER.replace("force_N", "force"))
-    assert main(["calibrate", str(trials), "--region", "forearm"]) == 2
-    assert "no column force_N" in capsys.readouterr().err
-    assert main(["calibrate", str(trials)]) == 2
-    assert "--region is missing" in capsys.readouterr().err
+    trials = save(tmp_path / "t.csv", presses(1), header=HEADER.replace("force_N", "forse_N"))
+    for arguments, told in (
+        ([str(trials), "--region", "forearm"], "no column force_N (is it 'forse_N'?)"),
+        ([], "TRIALS.csv is missing"),
+        ([str(trials), "--region", "knee"], "--region 'knee' is not a soft region of bathing-v2; valid: forearm"),
+        ([str(trials), "--indenter", "cone:5"], "indenter_shape"),
+        ([str(trials), "--indenter", "flat"], "--indenter 'flat': '' is not a number"),
+        ([str(trials), "--at", "5"], "--at '5': expected ALONG,ACROSS"),
+        ([str(trials), "--setup", str(tmp_path / "none.toml")], "No such file"),
+    ):
+        assert main(["calibrate", *arguments]) == 2
+        error = capsys.readouterr().err
+        assert told in error
+        assert len(error.strip().splitlines()) == 1
+
+
+def test_the_template_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "--template"]) == 0
+    assert capsys.readouterr().out == template()
+
+
+@pytest.mark.parametrize(("factor", "times"), [(1000 / 9.80665, "120 times"), (0.05, "0.05")])
+def test_force_in_another_unit_is_named_before_the_fit(
+    factor: float, times: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Grams, and volts of 20 N each. Millinewtons are refused even before a simulation."""
+    trials = save(tmp_path / "t.csv", presses(3, factor=factor))
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 2
+    found = capsys.readouterr()
+    assert f"column force_N: the measured forces are {times}" in found.err
+    assert "times those of a published forearm under the same presses" in found.err
+    assert "grams, volts or millinewtons" in found.err
+    assert "evaluation" not in found.out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def saturated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the trials of a load cell that saturates, and with what was made of them."""
+    folder = tmp_path_factory.mktemp("saturated")
+    trials = save(folder / "trials.csv", presses(3, cell_n=0.6))
+    assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(folder / "out")]) == 1
+    return folder
+
+
+def test_a_saturated_cell_is_rejected_by_name(saturated: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = read_certificate(saturated / "out" / "certificate.json").content
+    assert content.verdict == "rejected"
+    assert set(content.plateaus) == {"t0", "t1", "t2"}
+    assert any("a saturated load cell does that" in reason for reason in content.reasons)
+    row = load_tissue_set(str(saturated / "out" / "tissue.toml")).tissue["forearm"].calibration
+    assert row is not None
+    assert row.verdict == "rejected"
+    assert row.reasons == tuple(content.reasons)
+    assert main(["calibrate", str(saturated / "trials.csv"), "--verify", str(saturated / "out/certificate.json")]) == 1
+    out = capsys.readouterr().out
+    assert "the certificate was reproduced on this machine" in out
+    assert "the calibration of the forearm was rejected" in out
+
+
+def test_a_rejected_row_runs_only_where_it_is_allowed(saturated: Path, made: Path, tmp_path: Path) -> None:
+    rejected, accepted = (
+        {"tissue": {"person.tissue_set": (str(f / "out" / "tissue.toml"),)}} for f in (saturated, made)
+    )
+    loaded = load_protocol()
+    with pytest.raises(ConfigError, match=r"rejected-forearm-.*forearm \(the force stays|.*--allow-rejected uses it"):
+        RulesGroup().changed(loaded, **rejected)
+    assert "rejected-forearm" in RulesGroup(allow_rejected=True).changed(loaded, **rejected).title
+    assert "calibrated-forearm" in RulesGroup().changed(loaded, **accepted).title
+    with pytest.raises(ConfigError, match="allow-rejected"):
+        evaluate("zero-action", out=tmp_path / "run", overrides=dict(rejected["tissue"]))
+
+
+def test_a_hertz_like_abdomen_without_losses_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Friction between indenter and skin loses work that these trials do not lose."""
+    there = np.linspace(-1.0, 15.0, 60)
+    lines = []
+    for number in range(2):
+        travel = np.r_[there, there[-2::-1]]
+        lines += [
+            f"t{number},abdomen,p,{k * 16 / 59 / 50:.5f},{s:.5f},{(6 + number / 10) * (max(s, 0) / 15) ** 1.5:.5f},"
+            f"{'load' if k < 60 else 'unload'},50,hemisphere,10,0,none"
+            for k, s in enumerate(travel)
+        ]
+    trials = save(tmp_path / "t.csv", lines)
+    assert main(["calibrate", str(trials), "--region", "abdomen", "--out", str(tmp_path / "out")]) == 1
+    content = read_certificate(tmp_path / "out" / "certificate.json").content
+    assert any(reason.startswith("held-out total work lost +") for reason in content.reasons)
+    assert "FAIL" in capsys.readouterr().out
+
+
+def test_every_limit_and_every_doubt_has_its_reason(made: Path) -> None:
+    content = read_certificate(made / "out" / "certificate.json").content
+    assert content.verdict == "accepted"
+    assert reasons(content) == []
+    held = content.held_out
+    assert held is not None
+    for name, value, told in (
+        ("nrmse", 0.051, "held-out NRMSE 5.1%, limit 5%"),
+        ("tangent_error", -0.185, "held-out tangent stiffness -18.5%, limit 5%"),
+        ("tangent_error", float("nan"), "held-out tangent stiffness +nan%, limit 5%"),
+        ("work_error", 1.67, "held-out total work lost +167.0%, limit 10%"),
+    ):
+        changed = {**held, name: Value(value=value, ci95=None)}
+        assert reasons(content.model_copy(update={"held_out": changed})) == [told]
+    assert "far from published tissue" in reasons(content.model_copy(update={"published_ratio": 0.1}))[0]
+    outside = {**content.law, "a_n_m3": Value(value=2e6, ci95=(3e6, 4e6))}
+    assert "estimate of a_n_m3 is 2e+06 and lies outside" in reasons(content.model_copy(update={"law": outside}))[0]
 
 
 @pytest.mark.parametrize("region", ["forearm", "abdomen"])

@@ -31,7 +31,7 @@ def trial(
     force = k * inside + 5e4 * inside**2 + offset + drift * time + noise * rng.normal(size=len(time))
     return Trial(
         trial_id="a", site="forearm", subject="p", condition=CONDITION, preload_n=0.0, filter="none", time_s=time,
-        indentation_m=depth + zero_m, force_n=force, phase=np.where(time > 1.3, 2, 0), line=2,
+        indentation_m=depth + zero_m, force_n=force, phase=np.where(time > 1.3, 2, 0), path=Path("t.csv"), line=2,
     )  # fmt: skip
 
 

@@ -63,8 +63,8 @@ def test_where_no_law_follows_the_forces_stiffness_does_not_pay_for_it(tmp_path:
     assert errors["peak_error"] == pytest.approx(0.0, abs=0.1)
 
 
-def test_the_levelled_law_loses_as_much_work_as_the_trials(tmp_path: Path) -> None:
-    """Whatever damping the forces alone ask for: friction loses work too, and no fit changes it."""
+def two_speeds(path: Path) -> Problem:
+    """One press of the forearm at each of two speeds, with a loss in proportion to force and speed."""
     lines = []
     for speed in (3.0, 10.0):
         there = np.linspace(-1.0, 4.0, 120)
@@ -76,11 +76,16 @@ def test_the_levelled_law_loses_as_much_work_as_the_trials(tmp_path: Path) -> No
             f"{speed:g},hemisphere,10,0,none"
             for k, (d, f) in enumerate(zip(travel, force, strict=True))
         ]
-    curves = [make_curve(trial) for trial in read_trials(save(tmp_path / "t.csv", lines), region="forearm").trials]
+    curves = [make_curve(trial) for trial in read_trials(save(path, lines), region="forearm").trials]
     tissue = load_protocol().person.tissue["forearm"]
     replay = Replay(body=load_body("man-adult"), region="forearm", tissue=tissue, groups=group_curves(curves))
-    problem = Problem(curves, replay, lambda line: None)
-    family = Family(base=tissue, depth_m=problem.depth, damping=True)
+    return Problem(curves, replay, lambda line: None)
+
+
+def test_the_levelled_law_loses_as_much_work_as_the_trials(tmp_path: Path) -> None:
+    """Whatever damping the forces alone ask for: friction loses work too, and no fit changes it."""
+    problem = two_speeds(tmp_path / "t.csv")
+    family = Family(base=problem.base, depth_m=problem.depth, damping=True)
     found = problem.solve(family, problem.start(family))
     found.p[family.names.index("damping")] += 0.4
     _, before = problem.errors(family.tissue(found.p))
@@ -103,6 +108,8 @@ class Seen:
 
 class Promises:
     """A problem whose first step promises most of ``rise``, while only ``growth`` helps a law that bends."""
+
+    speeds_apart = 1.0
 
     HELD_OUT: ClassVar = {(): 1.0, ("bend",): 0.5, ("bend", "rise"): 0.499, ("bend", "growth"): 0.2}
     PROMISED: ClassVar = {("bend",): 0.5, ("bend", "rise"): 0.3, ("bend", "growth"): 0.4}
@@ -137,3 +144,42 @@ def test_a_term_that_stays_out_does_not_keep_the_others_from_being_tried() -> No
         "bend enters", "rise stays out", "growth enters", "rise stays out"
     ]  # fmt: skip
     assert problem.solved == [(), ("bend",), ("bend", "rise"), ("bend", "growth")], "the last promised nothing"
+
+
+class Apart(Promises):
+    """Three speeds: no step promises anything of ``growth``, and it makes the tangents at each speed right."""
+
+    speeds_apart = 3.0
+    HELD_OUT: ClassVar = {(): 1.0}
+    PROMISED: ClassVar = {}
+    after = 0.001
+
+    def held_out_squares(self, seen: Seen) -> np.ndarray:
+        return np.full(10, 1.0)
+
+    def held_out_tangent_squares(self, seen: Seen) -> np.ndarray:
+        return np.full(10, self.after if seen.family.terms else 0.01)
+
+
+@pytest.mark.parametrize(("after", "terms"), [(0.001, ("growth",)), (0.0099, ()), (0.02, ())])
+def test_growth_is_always_tried_on_several_speeds_and_chosen_by_their_tangents(
+    after: float, terms: tuple[str, ...]
+) -> None:
+    problem = Apart()
+    problem.after = after
+    found, lines = choose(problem, damping=True)  # pyright: ignore[reportArgumentType]
+    assert found.family.terms == terms
+    assert ("growth",) in problem.solved
+    assert any(
+        line.startswith(f"growth {'enters' if terms else 'stays out'}: held-out error of the tangents per speed 10.00%")
+        for line in lines
+    )
+
+
+def test_the_predicted_tangents_are_those_of_replays(tmp_path: Path) -> None:
+    """Of one fold's own law, to what the Jacobian leaves out; at each speed they have the sign of its mean error."""
+    problem = two_speeds(tmp_path / "t.csv")
+    family = Family(base=problem.base, depth_m=problem.depth, damping=True)
+    found = problem.solve(family, problem.start(family))
+    held = np.array([one.tangent_error for one in problem.held_out(found)])
+    np.testing.assert_allclose(problem.held_out_tangent_squares(found), held**2, rtol=0.1, atol=1e-4)

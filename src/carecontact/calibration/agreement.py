@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from carecontact.calibration.trial import Array
 
 UPPER = 0.5
 """Tangent stiffness is the slope over the depths from this share of the deepest point on."""
+LEAST_LOSS = 0.01
+"""A measured loop that loses less than this share of the work of the loading counts as losing so much: the error of
+lost work is relative to it, and friction makes every simulated loop lose some."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +26,12 @@ class Agreement:
     """Simulated divided by measured force at the deepest common point, minus 1."""
     tangent_error: float
     """Relative error of the slope over the deeper half of the loading."""
-    loop_error: float | None
-    """Relative error of the work lost between loading and unloading; None without unloading."""
+    work_j: tuple[float, float] | None
+    """Work that the measured and the simulated loop enclose [J]; None without unloading."""
+
+
+POOLED = ("nrmse", "r2", "peak_error", "tangent_error", "work_error")
+"""What is pooled over trials; ``work_error`` is that of the work that all trials lose together."""
 
 
 def agreement(depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]) -> Agreement:
@@ -36,19 +44,12 @@ def agreement(depth: Array, measured: tuple[Array, Array], simulated: tuple[Arra
     measured_all = np.r_[m, measured[1][back]]
     simulated_all = np.r_[s, simulated[1][back]]
     difference = simulated_all - measured_all
-    loop = None
-    if back.sum() > 3:
-        common = both & back
-        lost = [
-            np.trapezoid((legs[0] - legs[1])[common], depth[common]) for legs in (measured, simulated)
-        ]  # fmt: skip
-        loop = float(lost[1] / lost[0] - 1) if lost[0] > 0 else None
     return Agreement(
         nrmse=float(np.sqrt(np.mean(difference**2)) / m[-1]),
         r2=float(1 - np.sum(difference**2) / np.sum((measured_all - measured_all.mean()) ** 2)),
         peak_error=float(s[-1] / m[-1] - 1),
         tangent_error=tangent(d, s) / tangent(d, m) - 1,
-        loop_error=loop,
+        work_j=lost_work(depth, measured, simulated),
     )
 
 
@@ -58,15 +59,33 @@ def tangent(depth: Array, force: Array) -> float:
     return float(np.polyfit(depth[upper], force[upper], 1)[0])
 
 
-def pooled(rows: list[Agreement]) -> dict[str, float | None]:
-    """Pool the agreement of trials: the root mean square of ``nrmse`` and the means of all other values."""
-    out: dict[str, float | None] = {}
-    for field in fields(Agreement):
-        values = np.array([v for row in rows if (v := getattr(row, field.name)) is not None])
-        if not len(values):
-            out[field.name] = None
-        elif field.name == "nrmse":
-            out[field.name] = float(np.sqrt(np.mean(values**2)))
-        else:
-            out[field.name] = float(values.mean())
-    return out
+def lost_work(
+    depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]
+) -> tuple[float, float] | None:
+    """Return the work [J] that both loops enclose at depths where both have both ways; None if these are too few.
+
+    See LEAST_LOSS.
+    """
+    loops = measured[0] - measured[1], simulated[0] - simulated[1]
+    both = np.isfinite(loops[0]) & np.isfinite(loops[1])
+    if both.sum() <= 3:
+        return None
+    lost = [float(np.trapezoid(loop[both], depth[both])) for loop in loops]
+    return max(lost[0], LEAST_LOSS * float(np.trapezoid(measured[0][both], depth[both]))), lost[1]
+
+
+def work_error(lost: list[tuple[float, float] | None]) -> float | None:
+    """Return the relative error of the work that all trials lose together; None if they lose none."""
+    measured, simulated = np.sum([one for one in lost if one is not None] or [(0.0, 0.0)], axis=0)
+    return float(simulated / measured - 1) if measured > 0 else None
+
+
+def pooled(rows: Sequence[Agreement]) -> dict[str, float | None]:
+    """Pool the agreement of trials: the root mean square of ``nrmse``, the error of all lost work, the means of all
+    other values.
+    """
+    values = {name: np.array([getattr(row, name) for row in rows]) for name in POOLED[:-1]}
+    means: dict[str, float | None] = {name: float(one.mean()) for name, one in values.items()}
+    return means | {
+        "nrmse": float(np.sqrt(np.mean(values["nrmse"] ** 2))), "work_error": work_error([one.work_j for one in rows]),
+    }  # fmt: skip

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from carecontact.calibration.trial import Setup
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
 
-VERSION = "carecontact-calibration-2"
+VERSION = "carecontact-calibration-3"
 PERSON, PERSON_V1 = "person", "person-v1"
 """Name of the person's version among ``Content.versions``, and the version of certificates that do not have it."""
 BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
@@ -51,9 +54,26 @@ class Response(Part):
     unloading_n: list[float] | None
 
 
+class Speed(Part):
+    """Errors of the held-out presses of one nominal speed, or of the fit if nothing was held out."""
+
+    speed_mm_s: float
+    trials: int
+    nrmse: float
+    tangent_error: float
+    work_error: float | None
+
+
 class Content(Part):
+    verdict: Literal["accepted", "rejected"]
+    reasons: list[str]
+    """Why it was rejected."""
+    limits: dict[str, float]
+    """Largest pooled errors on held-out trials that are accepted."""
     region: str
     body: str
+    setup: Setup
+    """What options or a setup stated of the presses."""
     base_tissue_set: str
     """Mesh, mass, friction and thickness come from this set."""
     synthetic: bool
@@ -73,11 +93,16 @@ class Content(Part):
     agreement: dict[str, Value]
     held_out: dict[str, Value] | None
     """Agreement of every trial with a law that was fitted without the trial's fold."""
+    speeds: list[Speed]
     trials: int
     subjects: int
     measured_depth_mm: float
     """At least half of the trials reached this depth past touch; beyond it the row extrapolates."""
     measured_force_n: float
+    plateaus: dict[str, float]
+    """Trial whose force stays the same while the press goes deeper -> the depth from which on [mm]."""
+    published_ratio: float
+    """Measured peak force over that of published tissue under the same press, median of the trials."""
     gate_n: float
     """Safety gate of the region in the protocol."""
     gate_is_extrapolated: bool
@@ -128,18 +153,31 @@ def read_certificate(path: Path) -> Certificate:
     return certificate
 
 
-def tissue_set_toml(region: str, tissue: Tissue, *, base: str, description: str, digest: str) -> str:
-    """Return the TOML text of a tissue set with one row of its own, which has every field of Tissue in order; all other
-    regions come from the base set.
+def tissue_set_toml(contents: Sequence[Content], *, digests: Sequence[str]) -> str:
+    """Return the TOML text of a tissue set with the calibrated rows, which have every field of Tissue in order; all
+    other regions come from the base set. A set with a rejected row has ``rejected`` in its id, which titles name.
     """
+    verdict = "rejected" if any(one.verdict == "rejected" for one in contents) else "calibrated"
+    regions = "-".join(one.region.replace("_", "-") for one in contents)
+    said = "; ".join(
+        f"the {one.region.replace('_', ' ')} calibrated to {one.trials} {'synthetic ' if one.synthetic else ''}trials, "
+        f"{one.verdict}; certificate {digest[:12]}" for one, digest in zip(contents, digests, strict=True)
+    )  # fmt: skip
     lines = [
-        f'id = "calibrated-{region.replace("_", "-")}-{digest[:8]}"',
-        f"description = {json.dumps(description)}",
-        f"base = {json.dumps(base)}",
-        "",
-        f"[tissue.{region}]",
+        f'id = "{verdict}-{regions}-{"-".join(digest[:8] for digest in digests)}"',
+        f"description = {json.dumps(said[0].upper() + said[1:] + '.')}",
+        f"base = {json.dumps(contents[0].base_tissue_set)}",
     ]
-    for name, value in tissue.model_dump().items():
-        # A JSON string is a TOML basic string.
-        lines.append(f"{name} = {json.dumps(value) if isinstance(value, str) else repr(float(value))}")
+    for one in contents:
+        row = one.tissue.model_dump(mode="json")
+        calibration = row.pop("calibration")
+        lines += ["", f"[tissue.{one.region}]", *map(_toml, row.items())]
+        lines += ["", f"[tissue.{one.region}.calibration]"]
+        lines += [_toml(item) if item[1] is not None else f"# {item[0]} is not known" for item in calibration.items()]
     return "\n".join(lines) + "\n"
+
+
+def _toml(item: tuple[str, Any]) -> str:
+    """A JSON string is a TOML basic string, and a JSON list of strings an array of them."""
+    name, value = item
+    return f"{name} = {repr(float(value)) if isinstance(value, int | float) else json.dumps(value)}"

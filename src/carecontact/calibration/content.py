@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from importlib.metadata import version
 
 import numpy as np
 
 from carecontact import __version__
-from carecontact.calibration.agreement import Agreement, pooled
-from carecontact.calibration.certificate import BAND, PERSON, PERSON_V1, Content, Model, Value
+from carecontact.calibration.agreement import POOLED, Agreement, pooled
+from carecontact.calibration.certificate import BAND, PERSON, PERSON_V1, Content, Model, Speed, Value
 from carecontact.calibration.checks import TrialFile
 from carecontact.calibration.curve import Curve
 from carecontact.calibration.facts import measured_facts, model_hashes, responses, simulated_stiffness
 from carecontact.calibration.fit import BOOTSTRAP_SEED, BOOTSTRAPS, DAMPING, LAW, Fit
 from carecontact.calibration.identify import Identified
 from carecontact.calibration.replay import Replay
-from carecontact.calibration.trial import Array
-from carecontact.contract.protocol import Protocol
+from carecontact.calibration.trial import Array, Setup
+from carecontact.calibration.verdict import LIMITS, reasons
+from carecontact.contract.protocol import Calibration, Protocol
 from carecontact.kernel.found import sha256 as kernel_sha256
 
 LOOSE = 4.0
@@ -27,9 +27,15 @@ LOOSE = 4.0
 
 def make_content(
     file: TrialFile, curves: Sequence[Curve], laws: Sequence[Identified], replay: Replay, fit: Fit, *,
-    region: str, body: str, rules: Protocol,
+    ratio: float, setup: Setup, body: str, rules: Protocol,
 ) -> Content:  # fmt: skip
-    """``laws``: the candidates that describe the measured response, best first."""
+    """Return the content with its verdict.
+
+    Args:
+        laws: the candidates that describe the measured response, best first.
+        ratio: of ``published_ratio``.
+    """
+    region = replay.region
     facts, groups = measured_facts(file, curves), replay.groups
     gate = rules.limits.gamma * rules.f_pain(region)
     counted = count_of(curves, facts["synthetic"])
@@ -38,9 +44,13 @@ def make_content(
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
     tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
     law = _law_values(fit)
-    return Content(
+    content = Content(
+        verdict="accepted",
+        reasons=[],
+        limits=LIMITS,
         region=region,
         body=body,
+        setup=setup,
         base_tissue_set=rules.person.tissue_set,
         tissue=tissue,
         law=law,
@@ -55,7 +65,9 @@ def make_content(
         ],
         agreement=_agreement_values(fit.agreement),
         held_out=None if fit.held_out is None else _agreement_values(fit.held_out),
+        speeds=speeds_of(curves, fit.held_out or fit.agreement),
         **facts,
+        published_ratio=ratio,
         gate_n=gate,
         gate_is_extrapolated=gate > facts["measured_force_n"],
         responses=responses(curves, groups, fit.replayed),
@@ -74,6 +86,22 @@ def make_content(
             " not calibrated",
         ],
     )  # fmt: skip
+    why = reasons(content)
+    verdict, held = ("rejected" if why else "accepted"), content.held_out
+    errors = {} if held is None else {name: held[name].value for name in LIMITS}
+    tissue = tissue.model_copy(update={"calibration": Calibration(verdict=verdict, reasons=tuple(why), **errors)})
+    return content.model_copy(update={"verdict": verdict, "reasons": why, "tissue": tissue})
+
+
+def speeds_of(curves: Sequence[Curve], rows: Sequence[Agreement]) -> list[Speed]:
+    """Return the pooled errors of each nominal speed, the slowest first."""
+    speeds = [curve.trial.condition.speed_m_s for curve in curves]
+    out = []
+    for speed in sorted(set(speeds)):
+        own = [row for row, its in zip(rows, speeds, strict=True) if its == speed]
+        errors = {name: value for name, value in pooled(own).items() if name in LIMITS}
+        out.append(Speed.model_validate({"speed_mm_s": 1000 * speed, "trials": len(own), **errors}))
+    return out
 
 
 def count_of(curves: Sequence[Curve], synthetic: bool = False) -> str:
@@ -141,9 +169,9 @@ def _agreement_values(rows: Sequence[Agreement]) -> dict[str, Value]:
     draws = rng.integers(len(rows), size=(BOOTSTRAPS // 4, len(rows)))
     again = [pooled([rows[k] for k in draw]) for draw in draws] if len(rows) > 1 else []
     out = {}
-    for field in fields(Agreement):
-        values = np.array([v for one in again if (v := one[field.name]) is not None])
-        out[field.name] = Value(value=whole[field.name], ci95=_middle_95(values) if len(values) else None)
+    for name in POOLED:
+        values = np.array([v for one in again if (v := one[name]) is not None])
+        out[name] = Value(value=whole[name], ci95=_middle_95(values) if len(values) else None)
     return out
 
 

@@ -19,6 +19,13 @@ times the noise."""
 MIN_FREE_SAMPLES = 5
 PATH_STEP_S = 0.002
 SPIKE_SHARE = 0.1
+FLAT = 0.1
+"""A force whose slope over depth is below this share of the secant stiffness has a plateau. The tangent of soft tissue
+grows with depth."""
+FLAT_SHARES = (0.6, 0.45, 0.3, 0.15)
+"""Parts of the loading, from the deepest point up, in which a plateau is looked for."""
+CONSTANT_SHARE = 0.05
+"""A largest force that stays the same to the last digit over this share of the depth is a limit of the sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +113,28 @@ def make_curve(trial: Trial) -> Curve:
         path_s=path_s, path_m=path, loading_m_s=np.interp(grid, path[inward], path_speed[inward]),
         unloading_m_s=np.where(np.isfinite(unloading), unloading_speed, np.nan),
     )  # fmt: skip
+
+
+def plateau_m(curve: Curve) -> float | None:
+    """Return the depth from which the force stays the same while the press goes deeper; None if it never does.
+
+    Only the part at full speed counts, because a force that depends on speed also falls where the press slows down.
+    """
+    secant = curve.peak_n / curve.deepest_m
+    moving = curve.loading_m_s >= 0.5 * np.median(curve.loading_m_s)
+    for share in FLAT_SHARES:
+        part = moving & (GRID >= 1 - share)
+        if part.sum() > 3 and np.polyfit(curve.grid_m[part], curve.loading_n[part], 1)[0] < FLAT * secant:
+            return (1 - share) * curve.deepest_m
+    load = curve.trial.phase == 0
+    raw, depth = curve.trial.force_n[load], curve.depth_m[load]
+    values = np.unique(raw)
+    step = float(np.diff(values).min(initial=np.inf)) if len(values) > 1 else 0.0
+    top = depth[raw == raw.max()]
+    # A gauge of few digits repeats every value.
+    if len(top) >= MIN_FREE_SAMPLES and np.ptp(top) > max(CONSTANT_SHARE * curve.deepest_m, 3 * step / secant):
+        return float(top.min())
+    return None
 
 
 def despiked(force: Array) -> Array:

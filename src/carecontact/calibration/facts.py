@@ -12,10 +12,15 @@ import numpy as np
 from carecontact.calibration.agreement import tangent
 from carecontact.calibration.certificate import Response
 from carecontact.calibration.checks import TrialFile
-from carecontact.calibration.curve import GRID, Curve
+from carecontact.calibration.curve import GRID, Curve, plateau_m
 from carecontact.calibration.replay import Group, Replay, Replayed
 from carecontact.contract.protocol import Tissue
+from carecontact.protocols.tissue_sets import load_tissue_set
+from carecontact.sim.bench import LAW_FIELDS
+from carecontact.world.human.build import tissue_of
 from carecontact.world.human.library import load_body
+
+PUBLISHED_SET = "human-published"
 
 
 def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
@@ -26,6 +31,7 @@ def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
         "subjects": len({trial.subject for trial in file.trials}),
         "measured_depth_mm": 1000 * float(np.median([curve.deepest_m for curve in curves])),
         "measured_force_n": float(np.median([curve.peak_n for curve in curves])),
+        "plateaus": {curve.trial.trial_id: 1000 * depth for curve in curves if (depth := plateau_m(curve)) is not None},
         "measured_stiffness": {
             "secant_n_mm": float(np.mean([c.peak_n / c.deepest_m / 1000 for c in curves])),
             "tangent_n_mm": float(np.mean([tangent(c.grid_m, c.loading_n) / 1000 for c in curves])),
@@ -44,6 +50,29 @@ def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -
         "secant_n_mm": float(np.average(secants, weights=weight)),
         "tangent_n_mm": float(np.average(tangents, weights=weight)),
     }
+
+
+def published_ratio(replay: Replay, curves: Sequence[Curve]) -> float:
+    """Return the measured peak force over that of published tissue, pressed as deep and as fast; median of the trials.
+
+    It has the mesh and the contact layer of the replays, and the law of the shipped set ``human-published``, or the
+    protocol's where that set has no row of the region.
+    """
+    row, region, body = replay.tissue, replay.region, replay.body
+    published = load_tissue_set(PUBLISHED_SET).tissue
+    if region in published:
+        law = tissue_of(body, region, published[region])
+        row = row.model_copy(update={name: getattr(law, name) for name in LAW_FIELDS})
+    ratios = []
+    for group in replay.groups:
+        bench = replay.bench_of(group)
+        bench.set_law(row)
+        c = group.condition
+        press = bench.press(
+            along_m=c.along_m, across_m=c.across_m, tilt_deg=c.tilt_deg, depth_m=group.deepest_m, speed_m_s=c.speed_m_s
+        )
+        ratios += [curves[k].peak_n / float(press.force_n.max()) for k in group.members]
+    return float(np.median(ratios))
 
 
 def responses(curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequence[Replayed]) -> list[Response]:

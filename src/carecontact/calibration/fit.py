@@ -30,6 +30,9 @@ MIN_LOOP = 0.5
 LEAST_TRIALS = 3
 """Least number of trials with which a term can be chosen; with fewer, the law keeps ``UNCHOSEN``."""
 UNCHOSEN = ("rise",)
+SPEEDS_APART = 3.0
+"""If the fastest speed is at least this many times the slowest, ``growth`` is always tried, and the errors of the
+tangents at each speed decide about it: damping that grows with depth steepens fast presses more than slow ones."""
 LEAST_GAIN = 0.02
 """A term is added only if it lowers the held-out squared error by at least this share."""
 
@@ -107,7 +110,7 @@ def choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...
 
     A Gauss-Newton step decides in which order the terms are tried, and a fit of its own whether one is added. The
     search ends when every term has stayed out, because the step does not always tell which of them helps most. A term
-    from which the step promises less than ``LEAST_GAIN`` is not tried.
+    from which the step promises less than ``LEAST_GAIN`` is not tried. For ``growth``, see ``SPEEDS_APART``.
     """
     family = Family(base=problem.base, depth_m=problem.depth, damping=damping)
     found = problem.solve(family, problem.start(family))
@@ -128,21 +131,29 @@ def _next(problem: Problem, found: Solution, lines: list[str]) -> Solution | Non
     promised = {one.family.terms[-1]: problem.held_out_squares(one).mean() for one in ahead}
     for seen in sorted(ahead, key=lambda one: promised[one.family.terms[-1]]):
         term = seen.family.terms[-1]
-        if promised[term] > (1 - LEAST_GAIN) * now.mean():
+        by_speed = term == "growth" and problem.speeds_apart >= SPEEDS_APART
+        if not by_speed and promised[term] > (1 - LEAST_GAIN) * now.mean():
             lines.append(f"{term} stays out: a step promises held-out NRMSE {np.sqrt(promised[term]):.2%}")
             continue
         tried = problem.solve(seen.family, seen.step(np.ones(len(problem.curves))))
-        then = problem.held_out_squares(tried)
-        gain = now - then
-        enters = gain.mean() > max(float(gain.std(ddof=1)) / np.sqrt(len(gain)), LEAST_GAIN * now.mean())
+        of, squares = ("NRMSE", problem.held_out_squares)
+        if by_speed:
+            of, squares = ("error of the tangents per speed", problem.held_out_tangent_squares)
+        before, after = squares(found), squares(tried)
+        gain = before - after
+        enters = gain.mean() > max(float(gain.std(ddof=1)) / np.sqrt(len(gain)), LEAST_GAIN * before.mean())
         lines.append(
-            f"{term} {'enters' if enters else 'stays out'}: held-out NRMSE {np.sqrt(now.mean()):.2%} -> "
-            f"{np.sqrt(then.mean()):.2%}"
+            f"{term} {'enters' if enters else 'stays out'}: held-out {of} {_root(before):.2%} -> {_root(after):.2%}"
         )
         problem.on_progress(lines[-1])
         if enters:
             return tried
     return None
+
+
+def _root(squares: Array) -> float:
+    """Return the root of a mean, which rounding may put a little below zero."""
+    return float(np.sqrt(max(squares.mean(), 0.0)))
 
 
 def _draws(problem: Problem, found: Solution) -> Array | None:

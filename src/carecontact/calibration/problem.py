@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.calibration.agreement import Agreement, agreement, tangent
+from carecontact.calibration.agreement import Agreement, agreement, lost_work, tangent, work_error
 from carecontact.calibration.curve import Curve
 from carecontact.calibration.family import STEP, Family
-from carecontact.calibration.replay import Group, Replay, Replayed, on_trial
+from carecontact.calibration.replay import REACH, Group, Replay, Replayed, on_trial
 from carecontact.calibration.trial import Array
 from carecontact.contract.protocol import Tissue
 
@@ -163,10 +163,11 @@ class Problem:
         legs = [on_trial(one, self.replay.groups[n], self.curves[k])
                 for k, n in sorted(self.owner.items()) if (one := replayed[n]) is not None]  # fmt: skip
         stiffness = [stiffness_errors(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
-        lost = [lost_work(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
-        measured, simulated = np.sum(lost, axis=0)
-        work = simulated / measured - 1 if measured > 0 else 0.0
-        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)], work
+        lost = [
+            lost_work(curve.grid_m, (curve.loading_n, curve.unloading_n), both)
+            for curve, both in zip(self.curves, legs, strict=True)
+        ]
+        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)], work_error(lost) or 0.0
 
     def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
         """Return one column of the Jacobian, by a finite difference that stays within the bounds."""
@@ -200,6 +201,30 @@ class Problem:
             gone = folds == fold
             out[gone] = found.squares(found.step((~gone).astype(float)))[gone]
         return out
+
+    @property
+    def speeds_apart(self) -> float:
+        """The fastest nominal speed over the slowest."""
+        speeds = [curve.trial.condition.speed_m_s for curve in self.curves]
+        return max(speeds) / min(speeds)
+
+    def held_out_tangent_squares(self, found: Solution) -> Array:
+        """Return the error of each trial's tangent while loading, times the mean error at its speed (trials,), each
+        trial under the law of the other folds. Their mean is the mean square of the errors of the speeds.
+
+        The Jacobian gives them without another simulation, because a tangent is linear in the forces.
+        """
+        folds, errors = self.folds(), np.zeros(len(self.curves))
+        for k, curve in enumerate(self.curves):
+            rows = found.rows[k]
+            p = found.step((folds != folds[k]).astype(float))
+            residual = found.residual[rows] + found.jacobian[rows] @ (p - found.p)
+            loading = curve.grid_m <= self.replay.groups[self.owner[k]].deepest_m * REACH
+            difference = residual[: loading.sum()] * np.sqrt(len(residual)) * curve.peak_n
+            depth = curve.grid_m[loading]
+            errors[k] = tangent(depth, difference) / tangent(depth, curve.loading_n[loading])
+        speeds = np.array([curve.trial.condition.speed_m_s for curve in self.curves])
+        return errors * [errors[speeds == speed].mean() for speed in speeds]
 
     def held_out(self, found: Solution) -> list[Agreement]:
         """Return the agreement of every trial with the law of the other folds, one Gauss-Newton step away; each press
@@ -242,17 +267,6 @@ def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
     depth, measured, simulated = curve.grid_m[both], measured[both], simulated[both]
     slope, secant = tangent(depth, measured), measured[-1] / depth[-1]
     return np.array([simulated[-1] / measured[-1] - 1, (tangent(depth, simulated) - slope) / max(slope, secant)])
-
-
-def lost_work(curve: Curve, load: Array, back: Array) -> tuple[float, float]:
-    """Return the work [J] that the measured and the simulated loop enclose, at depths where both have both ways.
-
-    Both are 0 if the trial does not unload.
-    """
-    loops = curve.loading_n - curve.unloading_n, load - back
-    both = np.isfinite(loops[0]) & np.isfinite(loops[1])
-    measured, simulated = (float(np.trapezoid(loop[both], curve.grid_m[both])) for loop in loops)
-    return measured, simulated
 
 
 def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:

@@ -18,6 +18,8 @@ from carecontact.world.scene import region_shell
 
 DEPTH_CLASS = 0.06
 """Trials of one condition share a replay if their deepest points differ by less than this share."""
+REACH = 1.0001
+"""A replay counts as reaching depths up to this share of its deepest point."""
 TURN_TOLERANCE_M = 5e-5
 """Largest error of the depth past its own touch at which a replay turns round."""
 TIME_STEP_S = 0.002
@@ -92,7 +94,7 @@ class Replay:
     def __init__(
         self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group], build: Build = BUILDS["person-v1"]
     ) -> None:
-        self.groups, self.tissue = tuple(groups), tissue
+        self.groups, self.tissue, self.body, self.region = tuple(groups), tissue, body, region
         shell = region_shell(body, region, tissue)
         self.benches: dict[tuple[str, float | None], Bench] = {}
         for group in groups:
@@ -109,6 +111,9 @@ class Replay:
                 )
         self._zero = [0.0] * len(self.groups)
 
+    def bench_of(self, group: Group) -> Bench:
+        return self.benches[_indenter_key(group.condition)]
+
     def forget(self) -> None:
         """Let the next run begin as in a new Replay, so that its result does not depend on earlier runs."""
         self._zero = [0.0] * len(self.groups)
@@ -121,7 +126,7 @@ class Replay:
         return [self._run(k) if k in wanted else None for k in range(len(self.groups))]
 
     def _run(self, number: int) -> Replayed:
-        group, bench = self.groups[number], self.benches[_indenter_key(self.groups[number].condition)]
+        group, bench = self.groups[number], self.bench_of(self.groups[number])
         c = group.condition
         # Touch depends on the law, and the turning point on touch: start from the last result, and repeat if it has
         # moved.
@@ -154,7 +159,7 @@ def on_trial(replayed: Replayed, group: Group, curve: Curve) -> tuple[Array, Arr
     """Return simulated loading and unloading forces on one trial's own grid; nan beyond the depth that the replay
     reached.
     """
-    grid = np.where(curve.grid_m <= group.deepest_m * 1.0001, curve.grid_m, np.nan)
+    grid = np.where(curve.grid_m <= group.deepest_m * REACH, curve.grid_m, np.nan)
     depth = GRID * group.deepest_m
     return np.interp(grid, depth, replayed.loading_n), np.interp(grid, depth, replayed.unloading_n)
 

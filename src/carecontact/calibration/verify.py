@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from carecontact.calibration.agreement import Agreement, pooled
+from carecontact.calibration.agreement import POOLED, pooled
 from carecontact.calibration.certificate import BAND, PERSON, PERSON_V1, Certificate, Content, Response, Value
 from carecontact.calibration.checks import read_trials
 from carecontact.calibration.curve import Curve, make_curve
-from carecontact.calibration.facts import measured_facts, model_hashes, responses, simulated_stiffness
+from carecontact.calibration.facts import measured_facts, model_hashes, published_ratio, responses, simulated_stiffness
 from carecontact.calibration.problem import agreements
 from carecontact.calibration.replay import Group, Replay, group_curves
+from carecontact.calibration.verdict import LIMITS, reasons
 from carecontact.contract.protocol.person import PersonVersion
 from carecontact.errors import ConfigError
 from carecontact.kernel.found import sha256 as kernel_sha256
@@ -33,21 +34,22 @@ class Check:
     """Whether the check decides. One that does not is only shown, since another version may give the same forces."""
 
 
-def verify(trials: Path, certificate: Certificate) -> list[Check]:
+def verify(trials: Sequence[Path], certificate: Certificate) -> list[Check]:
     """Compute the facts about the data and the forces of the law again. Returns the checks, the deciding ones first.
 
-    Held-out errors, intervals and the identified formulas are not checked: they would need the fit again.
+    Held-out errors, intervals and the identified formulas are not computed again, which would need the fit; the verdict
+    must follow from those that the certificate states.
 
     Raises ConfigError if the data are not the certificate's or the certificate contradicts itself. A certificate's hash
     shows that it was not changed by accident, but not who wrote it.
     """
     content = certificate.content
     _check_consistent(content)
-    file = read_trials(trials, region=content.region)
+    file = read_trials(trials, region=content.region, setup=content.setup)
     if file.sha256 != content.hashes["data"]:
         raise ConfigError(
-            f"{trials} has sha256 {file.sha256[:12]}..., the certificate was made from "
-            f"{content.hashes['data'][:12]}...; verify with the same file"
+            f"{', '.join(map(str, trials))}: sha256 {file.sha256[:12]}..., the certificate was made from "
+            f"{content.hashes['data'][:12]}...; verify with the same file{'s' * (len(trials) > 1)}"
         )
     curves = [make_curve(trial) for trial in file.trials]
     groups = group_curves(curves)
@@ -90,6 +92,9 @@ def _check_replay(
     errors = pooled(agreements(curves, groups, replayed))
     for name, stated in content.agreement.items():
         yield _check_value(name, stated, errors[name], allowed=change, band=f"{change:.0%}", style="+.2%")
+    ratio = Value(value=content.published_ratio, ci95=None)
+    here = published_ratio(replay, curves)
+    yield _check_value("times published", ratio, here, allowed=allowed * here, band=f"{allowed:.1%}", style=".3g")
     for name, here in simulated_stiffness(groups, replayed).items():
         stated = content.stiffness[name]
         yield _check_value(name, stated, here, allowed=allowed * abs(here), band=f"{allowed:.1%}", style=".3f")
@@ -160,9 +165,9 @@ def _check_consistent(content: Content) -> None:
             raise ConfigError(f"the certificate states {name} {stated.value:g}, its tissue row has {row}")
     if content.band != BAND:
         raise ConfigError(f"the certificate allows {content.band}; this carecontact allows {BAND}")
-    names = {field.name for field in fields(Agreement)}
-    if set(content.agreement) != names or content.agreement["nrmse"].value is None:
-        raise ConfigError(f"the certificate's agreement has {sorted(content.agreement)}; expected {sorted(names)}")
+    for of in (content.agreement, *([] if content.held_out is None else [content.held_out])):
+        if set(of) != set(POOLED) or of["nrmse"].value is None:
+            raise ConfigError(f"the certificate's agreement has {sorted(of)}; expected {sorted(POOLED)}")
     if set(content.stiffness) != {"secant_n_mm", "tangent_n_mm"}:
         raise ConfigError(f"the certificate's stiffness has {sorted(content.stiffness)}")
     missing = {"data", "body", "mesh", "model"} - set(content.hashes)
@@ -171,3 +176,12 @@ def _check_consistent(content: Content) -> None:
     for name in ("mujoco", "kernel"):
         if name not in content.versions:
             raise ConfigError(f"the certificate does not name the {name} that made it")
+    why, row = reasons(content), content.tissue.calibration
+    if content.limits != LIMITS:
+        raise ConfigError(f"the certificate accepts errors up to {content.limits}; this carecontact up to {LIMITS}")
+    if content.reasons != why or (content.verdict == "rejected") != bool(why):
+        raise ConfigError(f"the certificate says {content.verdict}, its own figures: {'; '.join(why) or 'accepted'}")
+    if row is None or row.verdict != content.verdict:
+        raise ConfigError(
+            f"the certificate says {content.verdict}, its tissue row {'nothing' if row is None else row.verdict}"
+        )

@@ -13,7 +13,7 @@ from carecontact.cli.streams import drop_if_gone, drop_output, prepare_streams
 from carecontact.errors import CarecontactError, ConfigError
 from carecontact.own_process import adopt_orphans, hide_memory, hide_options
 
-REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write")
+REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write", "--tissue", "--region")
 """Options that a command line may hold several times."""
 STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
 INTERRUPTED, BROKEN_PIPE = 130, 141

@@ -46,6 +46,8 @@ class ChangedProtocolGroup(ProtocolGroup):
     ] = ()
     """Replace a field of the protocol, such as physics.dt_s=0.004 or gates.touch.duration_s=1; repeat the option for
     more. Every output names the change. If a field does not exist, the error lists those that do."""
+    allow_rejected: Switch = False
+    """Use tissue whose calibration was rejected (see docs/calibration.md). Every report then says so."""
 
     def load(self) -> Protocol:
         """Return the protocol with its changes.
@@ -60,9 +62,10 @@ class ChangedProtocolGroup(ProtocolGroup):
     def changed(self, protocol: Protocol, **options: Mapping[str, object]) -> Protocol:
         """Return ``protocol`` with these changes and those of other options, by the option's name.
 
-        Raises ConfigError where two options replace one field.
+        Raises ConfigError where two options replace one field, or a rejected calibration is not allowed.
         """
         from carecontact.protocols import overridden
+        from carecontact.protocols.tissue_sets import check_accepted
 
         changes: dict[str, object] = {}
         for option, given in {"set": self._set(), **self._others(), **options}.items():
@@ -70,7 +73,9 @@ class ChangedProtocolGroup(ProtocolGroup):
                 if path in changes:
                     raise ConfigError(f"--{option}: another option replaces {path}, too; give only one of them")
             changes |= given
-        return overridden(protocol, changes)
+        rules = overridden(protocol, changes)
+        check_accepted(rules, allowed=self.allow_rejected)
+        return rules
 
     def _set(self) -> dict[str, object]:
         pairs = [text.partition("=") for text in self.changes]
@@ -113,9 +118,9 @@ def check_body(name: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsGroup:
-    tissue: str | None = None
+    tissue: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Tissue in place of the protocol's: a name from `carecontact list tissue` or a .toml file that `carecontact
-    calibrate` wrote."""
+    calibrate` wrote. Repeat the option for files of other regions."""
     friction: str | None = None
     """Coefficient of friction between tool and skin in place of the tissue's: a number, or dry (0.5), wet (1.0) or
     soapy (0.2); see docs/tissue.md for the sources. Every output names this change."""
@@ -132,7 +137,7 @@ class PhysicsGroup:
         from carecontact.protocols.friction import friction_changes
 
         changes: dict[str, Mapping[str, object]] = {}
-        if self.tissue is not None:
+        if self.tissue:
             changes["tissue"] = {"person.tissue_set": self.tissue}
         if self.friction is not None:
             changes["friction"] = friction_changes(rules, self.friction)

@@ -120,6 +120,8 @@ def _print_scores(scores: Sequence[TrialScore], folder: Path) -> None:
     changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
     if first.overrides or changed:
         print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
+    if rejected := first.world.get("rejected_tissue"):
+        print(f"warning: tissue with a rejected calibration: {rejected}")
     if backends := sorted({s.language_backend for s in judged(scores)} - {"none"}):
         print(f"language: {', '.join(backends)}")
     print_table(scores, _protocol(scores, folder))

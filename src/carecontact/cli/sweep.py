@@ -51,6 +51,8 @@ class Sweep:
     salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed or the harness failed."""
+    allow_rejected: Switch = False
+    """Use tissue whose calibration was rejected (see docs/calibration.md). Every report then says so."""
     dry_run: Switch = False
     """Print the cells and how many of their trials are recorded, and run nothing."""
     table_only: Switch = False
@@ -106,10 +108,13 @@ class Sweep:
     def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
         """Return the planned cells. Mistakes in the plan itself are found here, before the first trial."""
         from carecontact.cli.policy import policy_setup
+        from carecontact.protocols.tissue_sets import check_accepted
         from carecontact.runs.sweep.cells import cells_of, places_of, with_noise
 
         salt = self.salted.salt
         places = places_of(plan, named=str(self.plan))
+        for place in places:
+            check_accepted(place.protocol, allowed=self.allow_rejected or self.table_only)
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
             closed = (*self.salted.closed, str(self.out.resolve()))

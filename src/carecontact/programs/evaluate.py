@@ -19,6 +19,7 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.policies.registry import is_privileged
 from carecontact.programs.run import Run
 from carecontact.protocols import load_protocol, overridden
+from carecontact.protocols.tissue_sets import check_accepted
 from carecontact.recording.reason import reason
 from carecontact.reports.trial_table import write_trial_table
 from carecontact.runs import score_run, write_scores
@@ -47,6 +48,7 @@ def evaluate(
     seeds: str | int | Iterable[int] = "all",
     arguments: Mapping[str, object] | None = None,
     overrides: Mapping[str, object] | None = None,
+    allow_rejected: bool = False,
     jobs: int | None = None,
     retry_failed: bool = False,
     port: int = PORT,
@@ -66,6 +68,7 @@ def evaluate(
         seeds: ``"0-4"``, ``"all"``, a seed, or seeds.
         arguments: for the constructor or factory; texts that its annotations convert, so not for an object.
         overrides: field of the protocol by its dotted name -> value in its place; every output names it.
+        allow_rejected: whether tissue may be used whose calibration was rejected; every report then says so.
         jobs: trials that run at once; by default one per core, and one for a policy object.
         retry_failed: run again the trials in which the policy crashed or the harness failed.
         port: port at which a policy object is served; 0 chooses a free one, but then no later call can go on with the
@@ -76,6 +79,7 @@ def evaluate(
     reach. A trial in which the policy crashes is a result.
     """
     rules = _protocol(protocol, level, overrides or {})
+    check_accepted(rules, allowed=allow_rejected)
     task_ids = parse_tasks(_listed("tasks", tasks), protocol=rules)
     seed_numbers = parse_seeds(_listed("seeds", seeds), protocol=rules)
     place = Path(out)

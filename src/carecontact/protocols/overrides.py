@@ -34,7 +34,8 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
 
     Args:
         changes: dotted path -> value. Text is converted to the field's type, as TOML is read; a task is named by its
-            id (``tasks.T1.prompt``). ``person.tissue_set`` is a shipped set or a TOML file, and its rows come with it.
+            id (``tasks.T1.prompt``). ``person.tissue_set`` is a shipped set or a TOML file, or several of them, and its
+            rows come with it.
 
     Raises UnknownNameError for a tissue set, ConfigError for a path that does not exist, which names the valid ones at
     that level, and for a value that does not fit.
@@ -88,10 +89,13 @@ def _with_rows(protocol: Protocol, changes: Mapping[str, object]) -> dict[str, o
     name = changes.get("person.tissue_set")
     if name is None or "person.tissue" in changes:
         return dict(changes)
-    chosen = load_tissue_set(str(name))
+    names = [str(one) for one in name] if isinstance(name, list | tuple) else [str(name)]
+    chosen = load_tissue_set(*names)
     missing = [region for region in protocol.soft_regions if region not in chosen.tissue]
     if missing:
-        raise ConfigError(f"tissue set {name}: no row for {', '.join(missing)}, which {protocol.id} needs")
+        raise ConfigError(
+            f"tissue set {' and '.join(names)}: no row for {', '.join(missing)}, which {protocol.id} needs"
+        )
     rows = {region: chosen.tissue[region] for region in protocol.soft_regions}
     return {**changes, "person.tissue_set": chosen.id, "person.tissue": _plain(rows)}
 

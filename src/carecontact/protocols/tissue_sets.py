@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from carecontact.contract.protocol import FileStem, RegionName, Section, Tissue
+from carecontact.contract.protocol import FileStem, Protocol, RegionName, Section, Tissue
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocols.wrong_fields import wrong_fields
 from carecontact.regions import STANDARD_REGIONS
@@ -36,11 +36,50 @@ def shipped_tissue_sets() -> list[str]:
     return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
 
 
-def load_tissue_set(name_or_path: str) -> TissueSet:
+def load_tissue_set(*names_or_paths: str) -> TissueSet:
     """Return a shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
+
+    Of several, every one gives its own rows, and they need one base for the regions of which none has a row.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
+    sets = {name: _read(name) for name in names_or_paths}
+    rows, owner = dict[str, Tissue](), dict[str, str]()
+    for name, made in sets.items():
+        for region, row in made.tissue.items():
+            if region in owner:
+                raise ConfigError(
+                    f"tissue sets {owner[region]} and {name} both have a row for the {region}; give only one of them"
+                )
+            rows[region], owner[region] = row, name
+    missing = [region for region in STANDARD_REGIONS if region not in rows]
+    bases = sorted({made.base for made in sets.values() if made.base is not None})
+    told = f"tissue set{'s' * (len(sets) > 1)} {' and '.join(sets)}"
+    if missing and len(bases) != 1:
+        hint = f"add base = one of {', '.join(shipped_tissue_sets())}, whose rows then serve"
+        if bases:
+            hint = f"their bases differ ({', '.join(bases)}); give them one"
+        raise ConfigError(f"{told}: no row for {', '.join(missing)}; {hint}")
+    for base in bases:
+        if base not in shipped_tissue_sets():
+            raise ConfigError(f"{told}: base {base!r}; valid: {', '.join(shipped_tissue_sets())}")
+        rows = {**_read(base).tissue, **rows} if base == bases[0] else rows
+    first = next(iter(sets.values()))
+    return first.model_copy(update={"id": "+".join(made.id for made in sets.values()), "tissue": rows})
+
+
+def check_accepted(protocol: Protocol, *, allowed: bool) -> None:
+    """Raise ConfigError for a row that ``carecontact calibrate`` rejected, unless these are allowed."""
+    rejected = protocol.person.rejected_tissue
+    if rejected and not allowed:
+        raise ConfigError(
+            f"{protocol.title}: the calibration of its tissue was rejected: {rejected}; --allow-rejected uses it, and "
+            "every report then says so"
+        )
+
+
+def _read(name_or_path: str) -> TissueSet:
+    """Return a set with the rows of its own file."""
     shipped = name_or_path in shipped_tissue_sets()
     if shipped:
         data = (resources.files("carecontact.protocols") / "tissue" / f"{name_or_path}.toml").read_bytes()
@@ -61,16 +100,4 @@ def load_tissue_set(name_or_path: str) -> TissueSet:
         raise ConfigError(wrong_fields(f"tissue set {name_or_path}", error, model=TissueSet, content=table)) from None
     if not shipped and made.id in shipped_tissue_sets():
         raise ConfigError(f"tissue set {name_or_path}: the id {made.id} is a shipped set's; choose another")
-    missing = [region for region in STANDARD_REGIONS if region not in made.tissue]
-    if missing and made.base is None:
-        raise ConfigError(
-            f"tissue set {name_or_path}: no row for {', '.join(missing)}; add base = one of "
-            f"{', '.join(shipped_tissue_sets())}, whose rows then serve"
-        )
-    if made.base is not None:
-        if made.base not in shipped_tissue_sets():
-            raise ConfigError(
-                f"tissue set {name_or_path}: base {made.base!r}; valid: {', '.join(shipped_tissue_sets())}"
-            )
-        made = made.model_copy(update={"tissue": {**load_tissue_set(made.base).tissue, **made.tissue}})
     return made

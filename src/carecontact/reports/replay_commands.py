@@ -51,6 +51,7 @@ def rules_options(score: TrialScore) -> list[str]:
             found += [OPTIONS[field], value]
         else:
             found += ["--set", f"{field}={value}"]
+    found += ["--allow-rejected"] if score.world.get("rejected_tissue") else []
     return found + (["--salt-file", "FILE"] if score.world.get("salt") else [])
 
 

@@ -44,6 +44,7 @@ def results(run: RunScores) -> dict[str, Any]:
         "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256, "overrides": first.overrides}
         if first
         else None,
+        "rejected_tissue": first.world.get("rejected_tissue") if first else None,
         "metric_versions": first.metric_versions if first else {},
         "versions": run.versions,
         "skipped": run.skipped,

@@ -73,7 +73,7 @@ class TrialScore(BaseModel):
     """What was simulated: hashes of ``model``, ``body`` and ``robot``, the version of ``mujoco``, as far as recorded.
     ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice.
     Where the protocol draws bodies or bases, ``model`` and ``body`` are called ``drawn model`` and ``drawn body``: they
-    are the seed's."""
+    are the seed's. ``rejected_tissue`` names regions whose calibration was rejected, where there are any."""
     ended: str
     duration_s: float
     failure_message: str | None

@@ -126,6 +126,8 @@ def _world(contact: Contact) -> dict[str, str]:
         world["mujoco"] = header.versions["mujoco"]
     if header.spec.salt_sha256:
         world["salt"] = header.spec.salt_sha256
+    if rejected := header.spec.protocol.person.rejected_tissue:
+        world["rejected_tissue"] = rejected
     return world
 
 

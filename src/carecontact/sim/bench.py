@@ -151,7 +151,7 @@ class Bench:
         """Change stiffness and damping in the compiled model. Raises ConfigError where more than these would change."""
         for name in Tissue.model_fields:
             before, after = getattr(self.tissue, name), getattr(tissue, name)
-            if name not in (*LAW_FIELDS, "source", "measured_depth_m") and before != after:
+            if name not in (*LAW_FIELDS, "source", "measured_depth_m", "calibration") and before != after:
                 raise ConfigError(f"{name} {before} -> {after} changes more than the law: make a new Bench")
         set_law(self.model, self.region, tissue)
         self.tissue = tissue

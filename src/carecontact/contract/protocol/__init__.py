@@ -7,7 +7,7 @@ from carecontact.contract.protocol.impedance import Impedance
 from carecontact.contract.protocol.level import Level
 from carecontact.contract.protocol.limits import SEGMENT_PARTS, ForceLimits, sideless
 from carecontact.contract.protocol.parking import Parking
-from carecontact.contract.protocol.person import Person, Tissue
+from carecontact.contract.protocol.person import Calibration, Person, Tissue
 from carecontact.contract.protocol.physics import Phases, Physics
 from carecontact.contract.protocol.protocol import Protocol
 from carecontact.contract.protocol.scene import Camera, Scene
@@ -22,6 +22,7 @@ __all__ = [
     "SEGMENT_PARTS",
     "Alive",
     "Breathing",
+    "Calibration",
     "Camera",
     "ContactDefinition",
     "FileStem",

@@ -14,6 +14,18 @@ LARGEST_CONTACT = 300
 """Largest ratio of ``contact_n_m3`` to ``a_n_m3``."""
 
 
+class Calibration(Section):
+    """What ``carecontact calibrate`` found of a row. Errors are those on held-out trials; None if there are none."""
+
+    verdict: Literal["accepted", "rejected"]
+    nrmse: float | None = None
+    tangent_error: float | None = None
+    work_error: float | None = None
+    """Of the work that all trials lose together."""
+    reasons: tuple[str, ...] = ()
+    """Why it was rejected."""
+
+
 class Tissue(Section):
     """One region's shell. Area-specific anchor law p = a x + b x |x| + c x^3 for inward displacement x."""
 
@@ -52,14 +64,14 @@ class Tissue(Section):
     """Body mass index of the person whom thickness and law are of: on another body they change with its own
     (``world.human.build``). None: they are the same on every body."""
     source: Annotated[str, Field(min_length=1)]
+    calibration: Calibration | None = None
+    """None for a row that ``carecontact calibrate`` did not write."""
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what rows did not always have, where it is not given: protocols keep their hash."""
         content = handler(self)
-        if self.bmi_kg_m2 is None:
-            del content["bmi_kg_m2"]
-        return content
+        return {n: v for n, v in content.items() if v is not None or n not in ("bmi_kg_m2", "calibration")}
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
@@ -117,3 +129,12 @@ class Person(Section):
             if getattr(self, name) == type(self).model_fields[name].default:
                 del content[name]
         return content
+
+    @property
+    def rejected_tissue(self) -> str:
+        """The regions with a rejected calibration, each with the first reason for it; empty if there are none."""
+        rows = {name: row.calibration for name, row in self.tissue.items() if row.calibration is not None}
+        return "; ".join(
+            f"{name.replace('_', ' ')} ({', '.join(found.reasons[:1]) or 'no reason given'})"
+            for name, found in rows.items() if found.verdict == "rejected"
+        )  # fmt: skip

@@ -44,6 +44,7 @@ def cannot_say(page: Page) -> list[Caveat]:
     headers = list(page.headers.values())
     return [
         *_privileged(page.scores),
+        *_rejected(page.scores),
         *_few(page.scores),
         *_bodies(headers),
         *_alive(headers),
@@ -67,6 +68,17 @@ def _privileged(scores: Sequence[TrialScore]) -> list[Caveat]:
         "as a ceiling; they rank no method."
     )
     return [("Privileged", text)]
+
+
+def _rejected(scores: Sequence[TrialScore]) -> list[Caveat]:
+    found = sorted({text for score in scores if (text := score.world.get("rejected_tissue"))})
+    if not found:
+        return []
+    text = (
+        f"The calibration of this tissue was rejected: {'; '.join(found)}. Forces and indentations here are not those "
+        "of the tissue that was measured."
+    )
+    return [("Rejected calibration", text)]
 
 
 def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
