@@ -19,6 +19,8 @@ LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}
 """Backend -> the libraries that it needs."""
 PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Backend -> the packages of Debian and Ubuntu that install them."""
+INSTALLING = "; install it with: "
+"""Words of a message before the command that installs what is missing."""
 OTHERS = (
     "", "glfw", "glx", "cgl", "wgl", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0",
 )  # fmt: skip
@@ -57,7 +59,7 @@ def choose_backend() -> str:
         sudo = "" if os.geteuid() == 0 else "sudo "
         chosen = f" (chosen by MUJOCO_GL={wanted})" if wanted == backend else ""
         raise DependencyError(
-            f"cannot render with {backend}{chosen}: {' and '.join(lacking[backend])} missing; install it with: "
+            f"cannot render with {backend}{chosen}: {' and '.join(lacking[backend])} missing{INSTALLING}"
             f"{sudo}apt-get install -y {PACKAGES[backend]}"
         )
     platform = os.environ.get("PYOPENGL_PLATFORM", "")

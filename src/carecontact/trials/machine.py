@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
@@ -102,9 +103,12 @@ def check_ready() -> None:
 
     Raises DependencyError that names the first thing to fix: the version of Python, or the variable or folder.
     """
+    from carecontact.sim.opengl import INSTALLING
+
     for finding in findings(quick=True):
         if not finding.fine:
-            raise DependencyError(f"this machine cannot run trials: {finding.name}: {finding.detail}")
+            fix = f"{INSTALLING}{finding.fix}" if finding.fix else ""
+            raise DependencyError(f"this machine cannot run trials: {finding.name}: {finding.detail}{fix}")
 
 
 def check_python() -> Finding:
@@ -180,12 +184,12 @@ def check_opengl(*, frame: bool = True) -> Finding:
     Args:
         frame: whether MuJoCo shall also render a picture with it, which takes half a second more.
     """
-    from carecontact.sim.opengl import LIBRARIES, choose_backend
+    from carecontact.sim.opengl import INSTALLING, LIBRARIES, choose_backend
 
     problem = _probe(FRAME_PROBE if frame else CONTEXT_PROBE, environment={})
     if problem is not None:
-        told = problem.removeprefix("carecontact.errors.DependencyError: ")
-        return Finding(name="OpenGL", fine=False, detail=told)
+        told, _, fix = problem.removeprefix("carecontact.errors.DependencyError: ").partition(INSTALLING)
+        return Finding(name="OpenGL", fine=False, detail=told, fix=fix or None)
     chosen = "by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() in LIBRARIES else "by what is installed"
     drew = f"; MuJoCo {metadata.version('mujoco')} rendered a frame" if frame else ""
     return Finding(name="OpenGL", fine=True, detail=f"{choose_backend()}, chosen {chosen}{drew}")
@@ -233,10 +237,12 @@ def check_kept() -> Finding:
     if folder is None:
         why = "as CARECONTACT_CACHE is empty" if CACHE_VARIABLE in os.environ else "as this user has no home folder"
     else:
-        there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-        if os.access(there, os.W_OK) and there.is_dir():
-            return Finding(name="kept", fine=True, detail=str(folder))
-        why = f"as {there} cannot be written to"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return Finding(name="kept", fine=True, detail=str(folder))
+        except OSError as error:
+            why = f"as {folder} cannot be written to ({error.strerror})"
     told = f"nothing is kept between trials, {why}; name a folder in the variable {CACHE_VARIABLE} to make them faster"
     return Finding(name="kept", fine=True, warning=True, detail=told)
 
