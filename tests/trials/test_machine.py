@@ -114,6 +114,15 @@ def test_a_temporary_folder_that_cannot_be_made_names_the_variable(monkeypatch: 
 
 
 @pytest.mark.usefixtures("unchecked")
+def test_a_check_that_gets_no_process_is_left_to_the_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **options: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr("subprocess.run", refused)
+    check_ready()
+
+
+@pytest.mark.usefixtures("unchecked")
 def test_a_run_that_lacks_nothing_asks_nothing_of_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench, asked = Bench(tmp_path), list[bool]()
     monkeypatch.setattr(supervisor, "check_ready", lambda: asked.append(True))

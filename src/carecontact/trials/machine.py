@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import metadata, resources
@@ -101,14 +102,16 @@ def findings(*, quick: bool = False) -> Iterator[Finding]:
 def check_ready() -> None:
     """Check once in each process, before its first trial, that trials can run here.
 
-    Raises DependencyError that names the first thing to fix: the version of Python, or the variable or folder.
+    Raises DependencyError that names the first thing to fix: the version of Python, or the variable or folder. Where no
+    process is left for a check, it raises nothing: a trial waits for one.
     """
     from carecontact.sim.opengl import INSTALLING
 
-    for finding in findings(quick=True):
-        if not finding.fine:
-            fix = f"{INSTALLING}{finding.fix}" if finding.fix else ""
-            raise DependencyError(f"this machine cannot run trials: {finding.name}: {finding.detail}{fix}")
+    with suppress(BlockingIOError):
+        for finding in findings(quick=True):
+            if not finding.fine:
+                fix = f"{INSTALLING}{finding.fix}" if finding.fix else ""
+                raise DependencyError(f"this machine cannot run trials: {finding.name}: {finding.detail}{fix}")
 
 
 def check_python() -> Finding:
