@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from carecontact.sim.rendering import _PACKAGES
+from carecontact.sim.opengl import PACKAGES
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "Dockerfile").read_text()
@@ -21,7 +21,7 @@ def test_it_uses_the_uv_of_the_bootstrap() -> None:
 
 
 def test_it_installs_what_rendering_needs() -> None:
-    assert all(package in TEXT for package in _PACKAGES["egl"].split())
+    assert all(package in TEXT for package in PACKAGES["egl"].split())
 
 
 def test_the_build_context_has_what_the_build_reads() -> None:

@@ -64,7 +64,7 @@ def hashes(run: Path) -> Table:
 
 def machine() -> dict[str, str]:
     """The processor, the libraries that rounded the numbers, and the graphics library that drew the pictures."""
-    from carecontact.sim.rendering import import_opengl
+    from carecontact.sim.opengl import import_opengl
 
     facts = {"system": platform.platform(), "machine": platform.machine(), "arithmetic": arithmetic()}
     cpuinfo = Path("/proc/cpuinfo")

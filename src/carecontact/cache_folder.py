@@ -10,9 +10,12 @@ CACHE_VARIABLE = "CARECONTACT_CACHE"
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of kept files; None if nothing is to be kept."""
+    """Return the folder of kept files; None if nothing is to be kept, or the user has no home folder."""
     chosen = os.environ.get(CACHE_VARIABLE)
     if chosen is not None:
         return Path(chosen) if chosen else None
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:  # HOME is not set, and the system knows no home folder of this user.
+        return None
     return Path(base) / "carecontact"

@@ -3,7 +3,7 @@
 CarecontactError
 ├── ConfigError              a protocol, option or file that the user gave is wrong
 │   └── UnknownNameError     a name that no registry row has
-├── DependencyError          a package or system library is missing; says what installs it
+├── DependencyError          a package or library is missing or refuses to work; says what helps
 ├── AssetError               a shipped body or mesh is missing or does not match its hash
 ├── SceneError               the world could not be built
 │   └── SettleError          the person did not come to rest before t = 0 (harness, not policy)

@@ -14,13 +14,13 @@ import pytest
 from tools.json_schemas import FOLDER, written
 
 import carecontact
-from carecontact.cli import machine, main
+from carecontact.cli import main
 from carecontact.cli.answers.kinds import ANSWERS, name_of
 from carecontact.episode.parking import survey
 from carecontact.episode.parking.survey import Surveyed
 from carecontact.recording import write_recording
 from carecontact.runs import score_run, write_scores
-from carecontact.trials import supervisor
+from carecontact.trials import machine, supervisor
 from carecontact.validation import energy
 from carecontact.validation.result import CheckResult, Measure
 from tests.scoring.synthetic import make_recording, push, touch

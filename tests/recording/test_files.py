@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import errno
+import fcntl
+import re
 import tempfile
 import zlib
 from pathlib import Path
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 from carecontact.errors import RecordingError
 from carecontact.recording import ARRAYS, OPTIONAL_ARRAYS, Recording, canonical_hash, read_recording, write_recording
 from carecontact.recording.check import MAX_WALL_BYTES
+from carecontact.recording.reader import read_header
 from carecontact.recording.schema import dimensions
 from tests.scoring.synthetic import before_start, make_recording, touch
 
@@ -271,3 +275,39 @@ def test_an_optional_array_is_stored_and_has_to_fit(tmp_path: Path, path: str) -
     wrong = Recording(header=plain.header, arrays=plain.arrays | others | {path: shaped(path, plain, more=1)})
     with pytest.raises(RecordingError, match=f"{path}|{beside}" if beside else path):
         write_recording(wrong, tmp_path / "T1-s001.h5")
+
+
+def test_a_recording_that_another_process_has_locked_is_read(tmp_path: Path) -> None:
+    """Nor does a file system need to have locks."""
+    path = write_recording(touch(), tmp_path / "a.h5")
+    with path.open("rb+") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert read_recording(path).header == touch().header
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(errno.EIO, "Can't read data (file read failed)"), "Input/output error"),
+        (OSError(errno.ESTALE, "Unable to open file"), "Stale file handle"),
+        (PermissionError(errno.EACCES, "Unable to open file"), "Permission denied"),
+        (
+            OSError(errno.ENOLCK, "Unable to open file (unable to lock file, errno = 37)"),
+            "No locks available; HDF5_USE_FILE_LOCKING=TRUE demands locks that its file system lacks: unset it",
+        ),
+    ],
+    ids=lambda value: errno.errorcode[value.errno] if isinstance(value, OSError) else "",
+)
+def test_a_fault_of_the_machine_is_no_damage(
+    error: OSError, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object, **options: object) -> None:
+        raise error
+
+    path = write_recording(touch(), tmp_path / "a.h5")
+    monkeypatch.setenv("HDF5_USE_FILE_LOCKING", "TRUE")
+    monkeypatch.setattr(h5py, "File", refused)
+    for read in (read_recording, read_header):
+        with pytest.raises(OSError, match=re.escape(told)) as raised:
+            read(path)
+        assert (raised.value.errno, raised.value.filename, raised.value.strerror) == (error.errno, str(path), told)

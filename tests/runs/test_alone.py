@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import signal
 import subprocess
@@ -123,6 +124,35 @@ def test_a_folder_without_space_is_named_with_what_to_do(tmp_path: Path, monkeyp
 def test_a_folder_without_leave_to_write_is_named(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(ConfigError, match="cannot be written to: Permission denied"), alone(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_without_locks_of_the_file_system_the_file_itself_is_the_lock(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(file: object, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refused)
+    folder = tmp_path / "run"
+    with alone(folder, make=True):
+        with alone(folder):
+            pass
+        assert (folder / LOCK).read_text().startswith(f"process {os.getpid()} of ")
+        (folder / "kept").touch()
+    assert sorted(path.name for path in folder.iterdir()) == ["kept"]
+
+    (folder / LOCK).write_text("process 7 of elsewhere, since 2026-01-01 00:00:00,")
+    told = (
+        f"^{folder}: process 7 of elsewhere, since 2026-01-01 00:00:00, is at work in this folder; wait until it has "
+        rf"ended; if it was killed, delete {folder / LOCK}, since this file system has no locks \({os.strerror(number)}"
+    )
+    for _ in range(2):
+        with pytest.raises(ConfigError, match=told), alone(folder):
+            pass
+    (folder / LOCK).unlink()
+    with alone(folder):
         pass
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from carecontact.contract.protocol import Camera
-from carecontact.errors import DependencyError, SceneError
+from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol
 from carecontact.sim import rendering
 from carecontact.sim.rendering import SceneRenderer
@@ -147,15 +147,3 @@ def test_unknown_camera(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
     renderer, data = world
     with pytest.raises(SceneError, match="exterior, overhead"):
         renderer.rgb(data, "ceiling")
-
-
-def test_missing_libraries_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(rendering, "_loads", lambda library: False)
-    with pytest.raises(DependencyError, match="apt-get install -y libegl1 libgl1 libgl1-mesa-dri"):
-        rendering.choose_backend()
-    monkeypatch.setattr(rendering, "_loads", lambda library: "OSMesa" in library)
-    assert rendering.choose_backend() == "osmesa"
-    monkeypatch.setenv("MUJOCO_GL", "egl")
-    with pytest.raises(DependencyError, match="egl"):
-        rendering.choose_backend()

@@ -87,13 +87,13 @@ def test_a_real_run_under_a_limit_of_the_file_size(tmp_path: Path) -> None:
 
 
 def test_a_temporary_disk_without_space_is_nobodys_failure(tmp_path: Path) -> None:
-    """The policy's folder cannot be made; with another one, the same command continues."""
+    """The policy's folder cannot be made once the run has begun; with another one, the same command continues."""
     out, no_folder = tmp_path / "run", tmp_path / "sitecustomize.py"
     no_folder.write_text(
-        "import os, tempfile\n"
+        "import os, sys, tempfile\n"
         "make = tempfile.mkdtemp\n"
         "def full(suffix=None, prefix=None, dir=None):\n"
-        "    if prefix == 'carecontact-policy-':\n"
+        "    if prefix == 'carecontact-policy-' and 'carecontact.cli' not in sys.orig_argv:\n"
         "        raise OSError(28, 'No space left on device', '/full')\n"
         "    return make(suffix, prefix, dir)\n"
         "tempfile.mkdtemp = full\n"

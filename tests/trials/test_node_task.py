@@ -20,6 +20,7 @@ from carecontact.recording import read_recording
 from carecontact.runs.identity import identity_of
 from carecontact.runs.plan import plan_trials
 from carecontact.trials import node_task
+from carecontact.trials.machine import check_ready
 from carecontact.trials.node_task import NodeDone, NodeTask, carry_out
 from carecontact.trials.workers import Workers
 
@@ -107,6 +108,15 @@ def test_a_node_of_another_release_or_with_other_files_is_refused(folder: Path) 
     assert done(made).refused == "the file of mine:P differs"
     module.unlink()
     assert done(made).refused == "the file of mine:P is not there"
+
+
+def test_a_node_that_cannot_render_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_ready.cache_clear()
+    monkeypatch.setenv("MUJOCO_GL", "nonsense")
+    refused = done(task()).refused
+    assert refused is not None
+    assert refused.startswith("this machine cannot run trials: OpenGL: MUJOCO_GL=nonsense")
+    assert not (folder / "ran.txt").exists()
 
 
 def test_a_policy_that_was_shipped_lies_where_the_task_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,3 +86,14 @@ def test_nothing_is_kept_where_nothing_is_to_be_kept(tmp_path: Path, monkeypatch
     blocked.write_text("")
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     assert kept("kind", FACTS, made)["count"] == 3
+
+
+def test_without_a_home_folder_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(user: int) -> None:
+        raise KeyError(user)
+
+    for name in (CACHE_VARIABLE, "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    assert cache_folder() is None
+    np.testing.assert_array_equal(kept("kind", FACTS, made)["places"], made()["places"])

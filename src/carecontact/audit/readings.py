@@ -8,7 +8,7 @@ from carecontact.audit.finding import Finding, Part
 from carecontact.audit.fresh_process import said_by
 from carecontact.audit.redraw import BOOTSTRAP
 from carecontact.audit.watched import Watched
-from carecontact.sim.rendering import choose_backend
+from carecontact.sim.opengl import choose_backend
 
 NAME, TITLE = "readings", "time, encoders and images recomputed from the recorded state"
 

@@ -8,10 +8,12 @@ from pathlib import Path
 from carecontact.calibration.curve import GRID, Curve
 from carecontact.calibration.identify import Identified
 from carecontact.calibration.replay import Group, Replayed
+from carecontact.plotting import plain_figures
 
 GRAY, GOLD, BLUE = "0.7", "#c8960c", "#1f5fa8"
 
 
+@plain_figures()
 def write_figure(
     path: Path,
     *,

@@ -16,8 +16,8 @@ from carecontact.own_process import adopt_orphans, hide_memory, hide_options
 REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write", "--tissue", "--region")
 """Options that a command line may hold several times."""
 STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
-INTERRUPTED, BROKEN_PIPE = 130, 141
-"""Exit statuses after SIGINT and SIGPIPE: 128 plus the signal's number, as shells count."""
+INTERRUPTED = 130
+"""Exit status after SIGINT: 128 plus the signal's number, as shells count."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,8 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CarecontactError as error:
         print(_error_line(str(error)), file=sys.stderr)
         return _ended(as_json, type(error).__name__, str(error), 2)
-    except BrokenPipeError:
-        return _nobody_reads()
     except OSError as error:
         from carecontact.recording.storage import REMEDY, is_full
 
@@ -53,6 +51,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         told = f"{told}; {REMEDY}" if is_full(error) else told
         print(_error_line(told), file=sys.stderr)
         return _ended(as_json, type(error).__name__, told, 2)
+    except (ImportError, AttributeError, RuntimeError) as error:
+        if _module_of(error) not in ("mujoco", "OpenGL"):
+            raise
+        told = f"OpenGL: {error}; `carecontact doctor` says what is wrong"
+        print(_error_line(told), file=sys.stderr)
+        return _ended(as_json, "DependencyError", told, 2)
     except KeyboardInterrupt:
         print(f"\ninterrupted{command.left}", file=sys.stderr)
         return _ended(as_json, "Interrupted", f"interrupted{command.left}", INTERRUPTED)
@@ -80,6 +84,15 @@ class _Command:
         return status
 
 
+def _module_of(error: BaseException) -> str:
+    """Return the name of the top package in whose code an error was raised. MuJoCo and PyOpenGL cannot be imported
+    where a variable names a backend that is not there."""
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    return "" if place is None else str(place.tb_frame.f_globals.get("__name__")).partition(".")[0]
+
+
 def _ended(as_json: bool, error: str, message: str, status: int) -> int:
     """Tell a program that reads JSON why the command ended, and return the exit status."""
     from carecontact.cli.json_lines import say_error
@@ -87,18 +100,9 @@ def _ended(as_json: bool, error: str, message: str, status: int) -> int:
     try:
         if as_json:
             say_error(error, message, status)
-    except BrokenPipeError:
-        return _nobody_reads()
     except OSError:  # Standard output is full, of which standard error has already told.
         drop_output(sys.stdout.fileno())
     return status
-
-
-def _nobody_reads() -> int:
-    """Drop the output that is still buffered: its reader has gone, and Python would try to write it again at its
-    end."""
-    drop_output(sys.stdout.fileno())
-    return BROKEN_PIPE
 
 
 def _readable(arguments: Sequence[str]) -> None:

@@ -54,8 +54,8 @@ class Check:
         from carecontact.runs.freeze import check_frozen
         from carecontact.runs.plan import plan_trials
         from carecontact.runs.preflight import check_protocol
-        from carecontact.trials.check import Check as Checked
         from carecontact.trials.deep.sheet import check_sheet_path
+        from carecontact.trials.machine import check_ready
 
         setup = policy_setup(self.policy, self.given)
         # The world of another release cannot be trusted to be built, let alone to be that of a run.
@@ -70,6 +70,9 @@ class Check:
             raise ConfigError("--deep and --quick exclude each other; give one of them")
         deep = self.deep or (setup.ref.kind == "remote" and not self.quick)
         pictures = check_sheet_path(self.pictures) if deep else None
+        check_ready()
+        from carecontact.trials.check import Check as Checked  # Not before, since MuJoCo comes with it.
+
         (spec, *_) = plan_trials(
             protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,
             environment=setup.environment,

@@ -18,14 +18,8 @@ def console(width: int) -> Console:
     """
     from rich.console import Console
 
-    class OurConsole(Console):
-        def on_broken_pipe(self) -> None:
-            """Raise the error, so that the command ends as for any other output: rich itself would end with status 1,
-            which means a failed check."""
-            raise BrokenPipeError
-
     known = "COLUMNS" in os.environ or Console().is_terminal
-    return OurConsole(highlight=False, markup=False, width=None if known else width)
+    return Console(highlight=False, markup=False, width=None if known else width)
 
 
 def plain_table() -> Table:

@@ -19,7 +19,7 @@ class Doctor:
 
     def __call__(self) -> int:
         """Return 1 if something that a trial needs failed."""
-        from carecontact.cli.machine import Finding, findings
+        from carecontact.trials.machine import Finding, findings
 
         failed = 0
         found: list[Finding] = []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import tempfile
 from pathlib import Path
 
 from carecontact.cli.groups import PolicyGroup
@@ -60,3 +62,12 @@ def _check_record(record: Path) -> None:
         raise ConfigError(f"--record {record}: the folder {record.parent} does not exist")
     if os.path.exists(record) and not os.path.isfile(record):
         raise ConfigError(f"--record {record}: expected a new or regular file, got a folder, pipe or device")
+    try:
+        # Trials append to it at the same time.
+        with tempfile.TemporaryFile(dir=os.path.dirname(os.path.abspath(record))) as beside:
+            fcntl.flock(beside, fcntl.LOCK_EX)
+    except OSError as error:
+        raise ConfigError(
+            f"--record {record}: no file in its folder can be written and locked ({error.strerror}); name a file on "
+            "another mount"
+        ) from None

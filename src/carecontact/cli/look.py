@@ -38,10 +38,10 @@ class Look:
         from carecontact.cli.vision import with_vision
         from carecontact.contract.observation import MODALITIES
         from carecontact.contract.policy import CAMERAS, PolicyCard
-        from carecontact.episode.first_look import first_look
         from carecontact.protocols import load_protocol
         from carecontact.reports.pictures.sheet import check_sheet_path, save_sheet
         from carecontact.runs.preflight import check_protocol
+        from carecontact.trials.machine import check_ready
 
         loaded = load_protocol(self.rules.protocol, level=self.rules.level)
         rules = self.rules.changed(loaded, tool={} if self.tool is None else {"scene.tool": self.tool})
@@ -50,6 +50,9 @@ class Look:
         trial = f"{self.task}-s{self.seed:03d}"
         path = check_sheet_path(self.out or Path(f"look-{trial}.png"))
         check_protocol(rules)
+        check_ready()
+        from carecontact.episode.first_look import first_look  # Not before, since MuJoCo comes with it.
+
         card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
         observation = first_look(
             rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights, salt=self.salted.salt

@@ -29,7 +29,6 @@ class Merge:
 
     def __call__(self) -> int:
         """Return 1 if a planned trial has no recording, or a recording cannot be scored. Raises as ``merge_runs``."""
-        from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import rescore
         from carecontact.errors import ConfigError
         from carecontact.runs.alone import alone
@@ -43,8 +42,7 @@ class Merge:
         merged = merge_runs(self.out, self.runs)
         self._say("", [merged])
         with alone(self.out):
-            scores = rescore(self.out, compare=False)
-            write_page(self.out, scores)
+            scores = rescore(self.out, compare=False, page=True)
         return 1 if merged.missing or scores.skipped else 0
 
     def _merge_sweeps(self) -> int:

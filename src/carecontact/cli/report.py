@@ -53,7 +53,7 @@ class Report:
             _need_rows(self.place, run)
             if self.trials:
                 write_trial_pages(self.place, run, baselines=self.baseline)
-            write_page(self.place, run, baselines=self.baseline)
+            print(*write_page(self.place, run, baselines=self.baseline), sep="\n")
         return 0
 
     def _one_trial(self) -> int:

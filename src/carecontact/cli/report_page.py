@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from carecontact.runs.run_scores import RunScores
 
 
-def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
-    """Write report.html and print its place.
+def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> list[str]:
+    """Write report.html and return lines that name it and the baselines that it shows.
 
     Args:
         run: the scores of the folder.
@@ -25,7 +25,7 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
     from carecontact.reports.compare.kept import beside_kept
     from carecontact.reports.page.page import write_report
 
-    named, lost = (_named(folder, run, baselines), {}) if baselines else _remembered(folder, run)
+    named, lost, told = (_named(folder, run, baselines), {}, []) if baselines else _remembered(folder, run)
     beside, why_none = beside_kept(run, named)
     path = write_report(
         folder,
@@ -37,7 +37,7 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
         lost_baselines=lost,
         kept_scores=why_none,
     )
-    print(f"report: {path}")
+    return [*told, f"report: {path}"]
 
 
 def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> list[RunScores]:
@@ -51,8 +51,9 @@ def _named(folder: Path, run: RunScores, baselines: Sequence[Path]) -> list[RunS
     return found
 
 
-def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str]]:
-    """Return the baselines of the last report, and each baseline that can no longer be shown -> the reason."""
+def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str], list[str]]:
+    """Return the baselines of the last report, each baseline that can no longer be shown -> the reason, and lines about
+    both."""
     from carecontact.reports.compare.baselines import check_baselines
     from carecontact.runs.baselines import BASELINES, named_in, remembered
     from carecontact.runs.stored_scores import read_scores
@@ -71,10 +72,9 @@ def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str
             lost[name] = str(error)
         else:
             found.append(baseline)
-    for name, why in lost.items():
-        print(f"the blind baseline {name} is not in the report: {why}")
+    told = [f"the blind baseline {name} is not in the report: {why}" for name, why in lost.items()]
     if found:
         names = ", ".join(baseline.scores[0].policy_title for baseline in found)
-        told = f"the report keeps the blind baselines of the last report: {names}"
-        print(f"{told}; to remove them, delete {named_in(folder)}")
-    return found, lost
+        kept = f"the report keeps the blind baselines of the last report: {names}"
+        told.append(f"{kept}; to remove them, delete {named_in(folder)}")
+    return found, lost, told

@@ -27,11 +27,12 @@ def rescore(
     compare: bool = True,
     jobs: int | None = None,
     allow_missing: bool = True,
+    page: bool = False,
     scored: Callable[[Path], ScoredFile | None] = lambda path: None,
 ) -> RunScores:
     """Score every recording as ``scores_of`` does, and write and print it as ``publish`` does."""
     run = scores_of(folder, jobs=jobs, scored=scored)
-    publish(folder, run, compare=compare, allow_missing=allow_missing)
+    publish(folder, run, compare=compare, allow_missing=allow_missing, page=page)
     return run
 
 
@@ -54,19 +55,27 @@ def scores_of(
     return beside_plan(folder, score_run(folder, jobs=many, scored=scored))
 
 
-def publish(folder: Path, run: RunScores, *, compare: bool = True, allow_missing: bool = True) -> None:
+def publish(
+    folder: Path, run: RunScores, *, compare: bool = True, allow_missing: bool = True, page: bool = False
+) -> None:
     """Write results.json and print the table. Where nothing could be scored, results.json stays as it is.
+
+    Every file is written before anything is printed, because standard output may be full.
 
     Args:
         compare: whether to print what differs from the earlier results.json.
         allow_missing: whether to replace results.json although planned trials have no score.
+        page: whether to write report.html, too.
     """
     from carecontact.cli.changes import differences
+    from carecontact.cli.report_page import write_page
     from carecontact.runs import write_scores
 
     before = _results(folder) if compare else None
     kept = not allow_missing and bool(run.missing) and (folder / RESULTS).is_file()
     path = write_scores(folder, run) if run.scores and not kept else None
+    written = [write_table(folder, run.scores)] if path is not None else []
+    written += write_page(folder, run) if page else []
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
@@ -76,8 +85,8 @@ def publish(folder: Path, run: RunScores, *, compare: bool = True, allow_missing
         print(f"{folder / RESULTS} was not replaced: --allow-missing replaces it with the scores of what is there")
     else:
         print(f"scores: {path}" if path else f"nothing could be scored; {RESULTS} was not written")
-    if path is not None:
-        print(write_table(folder, run.scores))
+    for line in written:
+        print(line)
 
 
 def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:

@@ -209,13 +209,11 @@ class Run:
     def _finish(self, summary: RunSummary, scores: RunScores) -> int:
         """Write results.json and the report, print the table, and return the exit status."""
         from carecontact.cli.failed_trials import failed_status, print_failed
-        from carecontact.cli.report_page import write_page
         from carecontact.cli.rescoring import publish
         from carecontact.reports.text import clipped_text
 
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-        publish(self.out, scores, compare=not summary.ran)
-        write_page(self.out, scores)
+        publish(self.out, scores, compare=not summary.ran, page=True)
         print(f"a page for each trial: carecontact report {shlex.quote(str(self.out))} --trials")
         print_failed(summary.ended, out=self.out)
         if summary.ran:

@@ -6,11 +6,16 @@ import errno
 import io
 import os
 import select
+import stat
 import sys
 from typing import TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
+
+
+GONE = (errno.EIO, errno.EPIPE, errno.ECONNRESET)
+"""Errors of writing to a terminal, a pipe and a socket of which the other end is closed."""
 
 
 def prepare_streams() -> None:
@@ -21,22 +26,34 @@ def prepare_streams() -> None:
             # Otherwise, the next file that is opened gets its number, and what libraries print goes into that file.
             setattr(sys, name, open(os.devnull, "w"))
         elif isinstance(stream, io.TextIOWrapper):
-            if stream.isatty():
-                terminal = io.BufferedWriter(_Terminal(number, "w", closefd=False))
-                stream = io.TextIOWrapper(terminal, encoding=stream.encoding, line_buffering=True)
+            if stream.isatty() or _is_piped(stream, number):
+                output = io.BufferedWriter(_Output(number, "w", closefd=False))
+                # At each line also where PYTHONUNBUFFERED is set.
+                lines = stream.line_buffering or stream.write_through
+                stream = io.TextIOWrapper(output, encoding=stream.encoding, line_buffering=lines)
                 setattr(sys, name, stream)
             # A name out of a file or of a policy may hold what no terminal can show.
             stream.reconfigure(errors="backslashreplace")
 
 
-class _Terminal(io.FileIO):
-    """A terminal. Once it is closed, further output is dropped, so that a run that was disowned goes on."""
+def _is_piped(stream: TextIO, number: int) -> bool:
+    """Return whether a stream still leads to its descriptor, and that to a pipe or a socket."""
+    try:
+        mode = os.fstat(stream.fileno()).st_mode
+    except OSError:  # The stream leads to no descriptor: a test caught what is printed.
+        return False
+    return stream.fileno() == number and (stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode))
+
+
+class _Output(io.FileIO):
+    """A terminal, pipe or socket. Once it is closed at the other end, further output is dropped: what a command does
+    and writes into files does not depend on who reads along, so that a disowned run and ``run | head`` go on."""
 
     def write(self, data: ReadableBuffer, /) -> int:
         try:
             return super().write(data)
         except OSError as error:
-            if error.errno != errno.EIO:
+            if error.errno not in GONE:
                 raise
             drop_output(self.fileno())
             return memoryview(data).nbytes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
@@ -29,14 +31,23 @@ MAX_ARRAYS = 100_000
 MAX_STRUCTURE_BYTES, STRUCTURE_BYTES_PER_ARRAY = 1 << 20, 1 << 10
 """Most bytes of a file beside its arrays, in all and for each array; no checksum covers them. A trial has 20 to 40 kB,
 some 400 bytes for each array."""
+NOT_ITS_FAULT = frozenset({
+    errno.EACCES, errno.EPERM, errno.EIO, errno.ESTALE, errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EMFILE,
+    errno.ENFILE, errno.ENOMEM, errno.ETIMEDOUT, errno.ENOTCONN, errno.EHOSTDOWN,
+})  # fmt: skip
+"""Numbers of errors that say something about the machine or a mount, and nothing about the content of a file."""
+LOCKING = "HDF5_USE_FILE_LOCKING"
+"""Variable that overrides what HDF5 is told about locks."""
 
 
 @contextmanager
 def opened(path: Path) -> Generator[Any]:
     """The h5py file of a trial, whose length HDF5 compares with the one that it stored.
 
+    It is not locked: nobody changes a finished recording, and some file systems have no locks.
+
     Raises RecordingError naming the file for one that is absent, too large, truncated or not HDF5, and for any error
-    inside the block that is not carecontact's own.
+    inside the block that is not carecontact's own; OSError naming it where the machine fails to read it.
     """
     h5py: Any = import_module("h5py")  # ships no types
     try:
@@ -48,15 +59,24 @@ def opened(path: Path) -> Generator[Any]:
             raise RecordingError(
                 f"{path}: {path.stat().st_size} bytes, more than the {MAX_FILE_BYTES} a trial may have"
             )
-        with h5py.File(path, "r") as file:
+        with h5py.File(path, "r", locking=False) as file:
             yield file
     except CarecontactError:
         raise
+    except OSError as error:
+        if error.errno not in NOT_ITS_FAULT:
+            raise _damaged(path, error) from None
+        told = os.strerror(error.errno)
+        if "lock file" in str(error):
+            told += f"; {LOCKING}={os.environ.get(LOCKING)} demands locks that its file system lacks: unset it"
+        raise OSError(error.errno, told, str(path)) from None
     except Exception as error:  # h5py answers damage with OSError, KeyError, RuntimeError, ValueError, TypeError ...
-        message = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(
-            f"{path}: not a readable HDF5 file; it is truncated, damaged, or not a recording: {message}"
-        ) from None
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    message = " ".join(str(error).split()) or type(error).__name__
+    return RecordingError(f"{path}: not a readable HDF5 file; it is truncated, damaged, or not a recording: {message}")
 
 
 def root_datasets(path: Path, file: Any) -> dict[str, Any]:
@@ -143,4 +163,6 @@ def load(path: Path, name: str, item: Any) -> npt.NDArray[Any]:
     try:
         return np.asarray(item[()])
     except OSError as error:  # of a checksum or a decompression that fails
+        if error.errno in NOT_ITS_FAULT:
+            raise
         raise RecordingError(f"{path}: {name} is truncated or damaged: {' '.join(str(error).split())}") from None

@@ -1,9 +1,14 @@
-"""One command at a time writes into a run's folder."""
+"""One command at a time writes into a run's folder.
+
+A lock of the kernel ensures this. Where the file system has none, as some NFS mounts, the file of the lock itself does:
+who creates it has the folder. Then the kernel does not free the folder of a command that was killed.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import os
+import platform
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -11,6 +16,7 @@ from pathlib import Path
 from typing import TextIO
 
 from carecontact.errors import ConfigError
+from carecontact.exhausted import NO_LOCKS
 from carecontact.recording.storage import is_full, no_space
 
 LOCK = ".lock"
@@ -20,7 +26,8 @@ _held = set[tuple[int, int]]()
 
 @contextmanager
 def alone(folder: Path, *, make: bool = False) -> Generator[None]:
-    """Keep every other command out of a folder inside the block; the kernel ends this in every exit of the process.
+    """Keep every other command out of a folder inside the block; the kernel ends this in every exit of the process,
+    where it can.
 
     The commands of one process may nest. A folder that was made for this and stays empty goes again.
 
@@ -72,7 +79,12 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
     path = folder / LOCK
     while True:
         try:
-            stream = path.open("a+")
+            stream, created = path.open("x+"), True
+        except FileExistsError:
+            try:
+                stream, created = path.open("r+"), False
+            except FileNotFoundError:
+                continue  # The one who had it has just removed it.
         except FileNotFoundError:
             if not make:
                 raise
@@ -82,16 +94,19 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
         if _identity(os.fstat(stream.fileno())) in _held:
             stream.close()
             return None
+        unlocked = ""
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            with stream:
-                stream.seek(0)
-                holder = stream.read(200).strip() or "another command"
-            raise ConfigError(f"{folder}: {holder} is at work in this folder; wait until it has ended") from None
-        except BaseException:
-            stream.close()
-            raise
+            raise _held_by(stream, folder) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                stream.close()
+                raise
+            if not created:
+                freed = f"; if it was killed, delete {path}, since this file system has no locks ({error.strerror})"
+                raise _held_by(stream, folder, freed) from None
+            unlocked = f" of {platform.node()}"
         # The one who had it may have removed the file between our opening and our locking it.
         with suppress(FileNotFoundError):
             if _identity(path.stat()) == _identity(os.fstat(stream.fileno())):
@@ -99,13 +114,22 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
         stream.close()
     try:
         stream.truncate(0)
-        os.write(stream.fileno(), f"process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M:%S')},".encode())
+        os.write(
+            stream.fileno(), f"process {os.getpid()}{unlocked}, since {time.strftime('%Y-%m-%d %H:%M:%S')},".encode()
+        )
     except BaseException:
         with suppress(OSError):
             path.unlink()
         stream.close()
         raise
     return stream
+
+
+def _held_by(stream: TextIO, folder: Path, remedy: str = "") -> ConfigError:
+    with stream:
+        stream.seek(0)
+        holder = stream.read(200).strip() or "another command"
+    return ConfigError(f"{folder}: {holder} is at work in this folder; wait until it has ended{remedy}")
 
 
 def _identity(status: os.stat_result) -> tuple[int, int]:

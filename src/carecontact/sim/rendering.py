@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping
-from ctypes.util import find_library
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import mujoco
@@ -16,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.protocol import Camera, Protocol
-from carecontact.errors import DependencyError, SceneError
+from carecontact.errors import SceneError
+from carecontact.sim.opengl import cannot_render, make_context
 from carecontact.sim.proprioception import Proprioception
 from carecontact.world.furniture import FURNITURE_GROUP
 from carecontact.world.robot import VISUAL_GROUP
@@ -28,36 +25,7 @@ F64 = npt.NDArray[np.float64]
 DEPTH_RANGE_M = 6.0
 """Beyond this a depth pixel is NaN: the working range of a room-scale RGB-D camera (assumed)."""
 
-_LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}
-_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 _CV_FROM_GL = np.diag([1.0, -1.0, -1.0])
-
-
-@cache
-def _loads(library: str) -> bool:
-    """Whether a library is installed under any version and loads."""
-    name = find_library(library)
-    try:
-        return name is not None and ctypes.CDLL(name) is not None
-    except OSError:
-        return False
-
-
-def choose_backend() -> str:
-    """The OpenGL backend to use: ``MUJOCO_GL`` if set, else egl, else osmesa.
-
-    Raises DependencyError that names the packages to install, because MuJoCo itself fails later and obscurely.
-    """
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    for backend in [wanted] if wanted in _LIBRARIES else list(_LIBRARIES):
-        if all(_loads(library) for library in _LIBRARIES[backend]):
-            return backend
-    backend = wanted if wanted in _LIBRARIES else "egl"
-    raise DependencyError(_install_message(backend, f"no library lib{' or lib'.join(_LIBRARIES[backend])}"))
-
-
-def _install_message(backend: str, reason: str) -> str:
-    return f"cannot render with {backend}: {reason}. Install it with: apt-get install -y {_PACKAGES[backend]}"
 
 
 def _geoms_only(group: int) -> mujoco.MjvOption:
@@ -67,35 +35,6 @@ def _geoms_only(group: int) -> mujoco.MjvOption:
         getattr(option, groups)[:] = 0
     option.geomgroup[group] = 1
     return option
-
-
-def import_opengl() -> Any:
-    """The class of contexts of the backend to use; nothing is drawn, and no thread starts, before there is a context.
-
-    Raises DependencyError as ``choose_backend`` does.
-    """
-    backend = choose_backend()
-    # Read again inside MuJoCo's C library when it looks up OpenGL functions.
-    os.environ["MUJOCO_GL"] = backend
-    os.environ.setdefault("PYOPENGL_PLATFORM", backend)
-    try:
-        if backend == "egl":
-            from mujoco.egl import GLContext
-        else:
-            from mujoco.osmesa import GLContext
-    except (ImportError, RuntimeError, AttributeError) as error:
-        raise DependencyError(_install_message(backend, str(error))) from error
-    return GLContext
-
-
-def _make_context(width: int, height: int) -> Any:
-    kind = import_opengl()
-    try:
-        context = kind(width, height)
-        context.make_current()
-    except (RuntimeError, AttributeError) as error:
-        raise DependencyError(_install_message(choose_backend(), str(error))) from error
-    return context
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,11 +242,13 @@ class SceneRenderer:
             return self._mjr, self._scene
         width = max(camera.width for camera in self._cameras.values())
         height = max(camera.height for camera in self._cameras.values())
-        self._context = _make_context(width, height)
+        self._context = make_context(width, height)
         quality = self._model.vis.quality
         samples, quality.offsamples = quality.offsamples, 0
         try:
             mjr = self._mjr = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        except mujoco.FatalError as error:  # such as a driver whose OpenGL is too old
+            raise cannot_render(error) from error
         finally:
             quality.offsamples = samples
         mujoco.mjr_resizeOffscreen(width, height, mjr)

@@ -80,7 +80,7 @@ def prepare() -> None:
     for name in NEEDED:
         import_module(name)
     from carecontact.observation.keypoints import import_pose
-    from carecontact.sim.rendering import import_opengl
+    from carecontact.sim.opengl import import_opengl
     from carecontact.world.human.library import body_names, load_body
 
     import_pose()

@@ -54,6 +54,12 @@ class Launcher:
         self._server: subprocess.Popen[bytes] | None = None
         self._line: socket.socket | None = None
 
+    def begin(self) -> None:
+        """Start the fork server, if there is to be one, so that it imports while the caller does something else."""
+        if self._forks:
+            with suppress(OSError):  # The first ``start`` tries again.
+                self._serving()
+
     def start(self, request: TrialRequest, *, log: Path) -> Process:
         """``request`` with a ``told_fd``; ``log``: file for what the worker prints. Raises OSError where no process can
         be started."""

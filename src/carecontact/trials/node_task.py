@@ -23,6 +23,7 @@ from carecontact.runs.identity import Identity, identity_of
 from carecontact.trials.engine import Ended
 from carecontact.trials.launch import WORKER_COMMAND, Launcher
 from carecontact.trials.lost import Losses
+from carecontact.trials.machine import check_ready
 from carecontact.trials.workers import Workers
 
 POLL_S = 0.05
@@ -82,9 +83,10 @@ def carry_out(release: str, packed: bytes) -> NodeDone:
 
 
 def differences(task: NodeTask) -> str:
-    """List what differs between this node and the planning command and influences the results; empty if nothing
-    does."""
+    """List what differs between this node and the planning command and influences the results, or why this node cannot
+    run trials; empty if nothing does."""
     try:
+        check_ready()
         here = identity_of(task.spec, search_path=task.policy.search_path, language=task.policy.language)
     except CarecontactError as error:
         return str(error)

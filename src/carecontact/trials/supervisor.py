@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -27,6 +27,7 @@ from carecontact.runs.manifest import Purpose, Survey, runs_beside, salted, surv
 from carecontact.trials.engine import Engine, EngineName
 from carecontact.trials.engines import Conditions, engine_of
 from carecontact.trials.launch import WORKER_COMMAND, Launcher
+from carecontact.trials.machine import check_ready
 from carecontact.trials.pace import check_pace, late_in
 from carecontact.trials.request import check_setup, setup_of
 from carecontact.trials.work_folder import remove_abandoned, work_folder
@@ -146,8 +147,8 @@ def open_run(
         whole: ids of all trials of the run of which ``specs`` are a part.
 
     Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
-    written to, and for an engine that cannot be reached; DependencyError for one that is not installed; StorageError if
-    the folder vanishes.
+    written to, and for an engine that cannot be reached; DependencyError for one that is not installed, and for a
+    machine that cannot run trials; StorageError if the folder vanishes.
     """
     check_pace(pace_s)
     if not specs:
@@ -155,16 +156,19 @@ def open_run(
     setup = policy or setup_of(specs[0])
     check_setup(specs[0], setup)
     identity = identity_of(specs[0], search_path=setup.search_path, language=setup.language, card=card)
-    with alone(out, make=True):
+    with alone(out, make=True), ExitStack() as opened:
         found = survey(specs, out=out, retry_failed=retry_failed, identity=identity, suspects=suspects)
         specs = salted(specs, out=out)
+        if launcher is None or launcher.command != tuple(worker_command):
+            launcher = Launcher(worker_command, forks=len(specs) > len(found.keep) + 1)
+            opened.callback(launcher.close)
+        if engine == "local" and len(specs) > len(found.keep):
+            launcher.begin()
+            check_ready()
         _prepare(out, specs, identity=identity, purpose=purpose, whole=whole)
         setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
         kill_abandoned()
         remove_abandoned_folders()
-        own = None
-        if launcher is None or launcher.command != tuple(worker_command):
-            launcher = own = Launcher(worker_command, forks=len(specs) > len(found.keep) + 1)
         with work_folder(out) as work:
             conditions = Conditions(
                 out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
@@ -181,8 +185,6 @@ def open_run(
                 ) from None
             finally:
                 carrying_out.kill_all()
-                if own is not None:
-                    own.close()
 
 
 class Run:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from carecontact.plotting import plain_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,13 +23,12 @@ STYLE = {
 
 def draw_figure(draw: Callable[[Figure], None], path: Path) -> None:
     """Call ``draw`` with a figure and write it as PNG."""
-    import matplotlib
     from cycler import cycler
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    style: Any = {**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}
-    with matplotlib.rc_context(style):
+    with plain_figures({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
         figure = Figure(layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import subprocess
 import sys
@@ -27,6 +29,21 @@ def test_a_folder_in_use_stays_and_one_whose_harness_was_killed_goes(tmp_path: P
     remove_abandoned_folders()
     assert list(tmp_path.iterdir()) == [ours.path]
     ours.remove()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EBADF])
+def test_a_folder_in_use_stays_where_the_file_system_has_no_locks(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(file: object, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refused)
+    made = private_folder()
+    remove_abandoned_folders()
+    assert list(tmp_path.iterdir()) == [made.path]
+    made.remove()
     assert not list(tmp_path.iterdir())
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from carecontact.cli.answers.answer import Answer
-from carecontact.cli.machine import Finding
+from carecontact.trials.machine import Finding
 
 
 class DoctorAnswer(Answer):

@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from carecontact.contract.protocol import Protocol
 from carecontact.episode.draws import streams
 from carecontact.episode.parking.bases import draws
 from carecontact.episode.parking.grounds import REFUSALS
 from carecontact.episode.parking.survey import Surveyed
+from carecontact.plotting import plain_figures
 from carecontact.world.furniture import BED_HALF_M
 from carecontact.world.place import place_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of the regions, in their order (those of Okabe and Ito, which people with any colour vision can
@@ -29,11 +31,14 @@ MOST_REFUSED = 40
 """Most refused draws that the map shows for one search: the last ones before the draw that serves."""
 
 
+@plain_figures()
 def draw_map(path: Path, rows: Sequence[tuple[Protocol, Sequence[Surveyed]]]) -> None:
     """Write a PNG or SVG picture, by the file's name, with one row of panels for each level.
 
     The left panel shows the places that serve, the right one the places that were refused beside the same people.
     """
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(12, 5.6 * len(rows)), layout="constrained")
     panels = np.atleast_2d(figure.subplots(len(rows), 2))
     for (protocol, found), (taken, refused) in zip(rows, panels, strict=True):
@@ -49,6 +54,8 @@ def draw_map(path: Path, rows: Sequence[tuple[Protocol, Sequence[Surveyed]]]) ->
 
 
 def _ground(axes: Axes, protocol: Protocol, title: str) -> None:
+    from matplotlib.patches import Rectangle
+
     length, width = BED_HALF_M
     axes.add_patch(Rectangle((-width, -length), 2 * width, 2 * length, facecolor="#e8eef2", edgecolor="#8899a0"))
     axes.text(0.0, length - 0.1, "head end", ha="center", color="#667780", fontsize=8)

@@ -14,6 +14,7 @@ from pathlib import Path
 from subprocess import DEVNULL
 from typing import NoReturn
 
+from carecontact.exhausted import NO_LOCKS
 from carecontact.hosting.isolation.allowlist import SHARED_MEMORY
 
 PREFIX = "carecontact-policy-"
@@ -65,14 +66,17 @@ def become_remover(path: Path) -> NoReturn:
 
 
 def private_folder() -> PrivateFolder:
-    """Make a folder, after removing those whose harness is gone. Raises OSError if none can be made."""
+    """Make a folder, after removing those whose harness is gone. Raises OSError if none can be made.
+
+    Where the file system has no locks, nobody can tell an abandoned folder from one in use: it is left there.
+    """
     remove_abandoned_folders()
     while True:
         path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_place()))
         # Between making and locking the folder, another harness may have removed it as an abandoned one.
         with suppress(FileNotFoundError, BlockingIOError):
             try:
-                made = PrivateFolder(path=path, lock=_locked(path))
+                made = PrivateFolder(path=path, lock=_locked(path, otherwise_open=True))
             except OSError as error:
                 # Too many open files, for example: nobody would know this folder as abandoned before the next command.
                 if not isinstance(error, FileNotFoundError | BlockingIOError):
@@ -126,12 +130,17 @@ def _place() -> Path:
     return Path(BESIDE_SHARED_MEMORY) if place.is_relative_to(SHARED_MEMORY) else place
 
 
-def _locked(path: Path) -> int:
-    """Lock a folder and return the descriptor. Raises BlockingIOError while another process holds the lock."""
+def _locked(path: Path, *, otherwise_open: bool = False) -> int:
+    """Lock a folder and return the descriptor. Raises BlockingIOError while another process holds the lock.
+
+    Args:
+        otherwise_open: whether to return it without a lock where the file system has none.
+    """
     lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(lock)
-        raise
+    except OSError as error:
+        if not (otherwise_open and error.errno in NO_LOCKS):
+            os.close(lock)
+            raise
     return lock

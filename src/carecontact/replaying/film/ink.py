@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 import cv2
-import matplotlib
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
+
+from carecontact.plotting import import_matplotlib
 
 Picture = npt.NDArray[np.uint8]
 Colour = tuple[int, int, int]
@@ -30,7 +31,7 @@ FRACTION_BITS = 4
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu Sans, which matplotlib ships."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
+    return ImageFont.truetype(str(Path(import_matplotlib().get_data_path()) / "fonts" / "ttf" / name), size)
 
 
 def text_width(text: str, size: int, *, bold: bool = False) -> float:
@@ -101,5 +102,5 @@ def faded(picture: Picture, x0: int, y0: int, x1: int, y1: int, colour: Colour, 
 
 def heat(values: Iterable[float]) -> npt.NDArray[np.uint8]:
     """(N,) numbers from 0 to 1 -> (N, 3) colours from pale to dark red."""
-    table = matplotlib.colormaps["YlOrRd"]
+    table = import_matplotlib().colormaps["YlOrRd"]
     return np.round(255 * table(0.12 + 0.88 * np.clip(np.asarray(list(values)), 0, 1))[:, :3]).astype(np.uint8)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from carecontact.errors import DependencyError
 from carecontact.replaying.film.grid import SkinGrid, eye_of
 from carecontact.replaying.film.skin import FilmSkin
-from carecontact.sim.rendering import import_opengl
+from carecontact.sim.opengl import import_opengl
 
 F64 = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]

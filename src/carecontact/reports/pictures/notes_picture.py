@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carecontact.errors import ConfigError
+from carecontact.plotting import plain_figures
 from carecontact.recording.notes import read_notes
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import Recording
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 DPI = 110
 
 
+@plain_figures()
 def save_notes_picture(recording: Recording, path: Path) -> Path:
     """Raises ConfigError for an ending that is not a picture's, or a recording without notes that can be drawn."""
     check_sheet_path(path)
@@ -28,6 +30,7 @@ def save_notes_picture(recording: Recording, path: Path) -> Path:
     return path
 
 
+@plain_figures()
 def draw_notes(recording: Recording) -> Figure:
     """Raises ConfigError if there is nothing to draw."""
     notes = read_notes(recording)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from carecontact.contract.observation import CameraView, Observation
 from carecontact.errors import ConfigError
+from carecontact.plotting import plain_figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,6 +48,7 @@ def check_sheet_path(path: Path) -> Path:
     return path
 
 
+@plain_figures()
 def save_sheet(observation: Observation, path: Path, *, title: str, dpi: int = DPI) -> Path:
     """Draw every camera and modality that is there. Raises ConfigError as ``check_sheet_path``.
 
@@ -60,6 +62,7 @@ def save_sheet(observation: Observation, path: Path, *, title: str, dpi: int = D
     return path
 
 
+@plain_figures()
 def draw_sheet(observation: Observation, *, title: str) -> Figure:
     """Return a picture with a row for each camera, a column for each image modality, then the cloud from two sides and
     the encoders."""

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from carecontact.plotting import plain_figures
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -29,12 +31,10 @@ NO_DATE = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None,
 
 def write_figure(draw: Callable[[Figure], None], folder: Path, name: str) -> list[Path]:
     """Write what ``draw`` puts on a figure as NAME.svg and NAME.pdf. Returns both paths."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with plain_figures(STYLE):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
 
-    style: Any = {**matplotlib.rcParamsDefault, "backend": "agg", **STYLE}
-    with matplotlib.rc_context(style):
         figure = Figure(layout="constrained")
         FigureCanvasAgg(figure)
         draw(figure)

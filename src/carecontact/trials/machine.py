@@ -1,18 +1,22 @@
-"""What ``carecontact doctor`` checks on this machine."""
+"""Checks of this machine: all of them for ``carecontact doctor``, and the quick ones before the first trial of a run,
+so that one fault of the machine is one message and not a failure of every trial."""
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache, partial
 from importlib import metadata, resources
 
-from carecontact.errors import counted
+from carecontact.cache_folder import CACHE_VARIABLE, cache_folder
+from carecontact.errors import DependencyError, counted
 
 PYTHON = ((3, 11), (3, 13))
 """The lowest version that is supported, and the first above it that is not."""
@@ -41,13 +45,14 @@ EXTRAS = {
     "grounded-sam": (("torch", "transformers"), "--segmenter grounded-sam"),
 }
 """Extra of this package -> the distributions that it installs, and what needs it."""
-GL_LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
-GL_PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 MEMORY_PER_TRIAL_GIB = 1.0
 """Memory that a trial needs: 0.6 GiB (measured), and its policy's process comes on top."""
 PROBE_LIMIT_S = 120.0
 
+CONTEXT_PROBE = "from carecontact.sim.opengl import probe; probe()"
 FRAME_PROBE = """
+from carecontact.sim.opengl import make_context
+make_context(64, 64).free()
 import mujoco
 model = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><light pos='0 0 3'/><geom type='sphere' size='.3' rgba='1 0 0 1'/>"
@@ -78,21 +83,35 @@ class Finding:
     """The command that installs what is missing."""
 
 
-def findings() -> Iterator[Finding]:
-    """Run every check, one at a time."""
-    for check in (
-        check_python,
-        check_packages,
-        check_extras,
-        check_tissue,
-        check_gl,
-        check_frame,
-        check_pose,
-        check_assets,
-        check_isolation,
-        check_machine,
-    ):
-        yield check()
+def findings(*, quick: bool = False) -> Iterator[Finding]:
+    """Run the checks, one at a time.
+
+    Args:
+        quick: whether to run only those that take some 0.1 s together and whose failure would fail every trial.
+    """
+    checks = [check_python, check_temporary_folder, partial(check_opengl, frame=not quick)]
+    if not quick:
+        checks += [
+            check_packages, check_extras, check_tissue, check_pose, check_assets, check_kept, check_isolation,
+            check_machine,
+        ]  # fmt: skip
+    return (check() for check in checks)
+
+
+@cache
+def check_ready() -> None:
+    """Check once in each process, before its first trial, that trials can run here.
+
+    Raises DependencyError that names the first thing to fix: the version of Python, or the variable or folder. Where no
+    process is left for a check, it raises nothing: a trial waits for one.
+    """
+    from carecontact.sim.opengl import INSTALLING
+
+    with suppress(BlockingIOError):
+        for finding in findings(quick=True):
+            if not finding.fine:
+                fix = f"{INSTALLING}{finding.fix}" if finding.fix else ""
+                raise DependencyError(f"this machine cannot run trials: {finding.name}: {finding.detail}{fix}")
 
 
 def check_python() -> Finding:
@@ -142,58 +161,41 @@ def check_tissue() -> Finding:
         what, command = problem
         return Finding(name="tissue", fine=False, detail=f"the compiled tissue {what}", fix=command)
     made = f"compiled for MuJoCo {binary.MUJOCO} and {binary.platform_here()}, sha256 {found.sha256()[:12]}"
-    fault = _probe(TISSUE_PROBE, environment={})
+    fault = _probe(TISSUE_PROBE, environment={"MUJOCO_GL": "disable"})
     return Finding(
         name="tissue", fine=fault is None, detail=f"{made}; {fault or 'it loads'}",
         fix=found.making(afresh=True) if fault else None,
     )  # fmt: skip
 
 
-def loads(library: str) -> bool:
+def check_temporary_folder() -> Finding:
+    """Make and lock a folder where every policy's process gets one."""
+    from carecontact.hosting.isolation.private_folder import private_folder
+
     try:
-        ctypes.CDLL(library)
-    except OSError:
-        return False
-    return True
+        folder = private_folder()
+    except OSError as error:
+        told = f"no folder for a policy's process can be made and locked: {error}; correct this, or name another folder"
+        return Finding(name="temporary", fine=False, detail=f"{told} in the variable TMPDIR")
+    folder.remove()
+    return Finding(name="temporary", fine=True, detail=str(folder.path.parent))
 
 
-def gl_backend(*, loads: Callable[[str], bool] = loads) -> tuple[str, list[str]]:
-    """Return the OpenGL backend that a trial will use (``MUJOCO_GL`` if set, else egl, else osmesa), and the libraries
-    that it lacks."""
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    candidates = [wanted] if wanted in GL_LIBRARIES else list(GL_LIBRARIES)
-    lacking = {backend: [lib for lib in GL_LIBRARIES[backend] if not loads(lib)] for backend in candidates}
-    backend = next((b for b in candidates if not lacking[b]), candidates[0])
-    return backend, lacking[backend]
+def check_opengl(*, frame: bool = True) -> Finding:
+    """Make a context as every trial does, which draws pictures for its report at least.
 
+    Args:
+        frame: whether MuJoCo shall also render a picture with it, which takes half a second more.
+    """
+    from carecontact.sim.opengl import INSTALLING, LIBRARIES, choose_backend
 
-def check_gl() -> Finding:
-    backend, lacking = gl_backend()
-    how = "chosen by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() == backend else "chosen by what is installed"
-    if lacking:
-        return Finding(
-            name="OpenGL", fine=False, detail=f"{backend}: {' and '.join(lacking)} missing", fix=apt_line(backend)
-        )
-    return Finding(name="OpenGL", fine=True, detail=f"{backend}, {how}")
-
-
-def apt_line(backend: str) -> str:
-    sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
-    return f"{sudo}apt-get install -y {GL_PACKAGES[backend]}"
-
-
-def check_frame() -> Finding:
-    backend, lacking = gl_backend()
-    if lacking:
-        return Finding(name="frame", fine=False, detail="not tried: no OpenGL")
-    problem = _probe(FRAME_PROBE, environment={"MUJOCO_GL": backend})
-    if problem:
-        return Finding(
-            name="frame", fine=False, detail=f"MuJoCo renders nothing with {backend}: {problem}", fix=apt_line(backend)
-        )
-    return Finding(
-        name="frame", fine=True, detail=f"MuJoCo {metadata.version('mujoco')} rendered a frame with {backend}"
-    )
+    problem = _probe(FRAME_PROBE if frame else CONTEXT_PROBE, environment={})
+    if problem is not None:
+        told, _, fix = problem.removeprefix("carecontact.errors.DependencyError: ").partition(INSTALLING)
+        return Finding(name="OpenGL", fine=False, detail=told, fix=fix or None)
+    chosen = "by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() in LIBRARIES else "by what is installed"
+    drew = f"; MuJoCo {metadata.version('mujoco')} rendered a frame" if frame else ""
+    return Finding(name="OpenGL", fine=True, detail=f"{choose_backend()}, chosen {chosen}{drew}")
 
 
 def check_pose() -> Finding:
@@ -230,6 +232,22 @@ def check_assets() -> Finding:
         )
         return Finding(name="assets", fine=False, detail="; ".join(wrong) or "no asset is installed", fix=fix)
     return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
+
+
+def check_kept() -> Finding:
+    """Tell where settled persons are kept between trials; a trial without them takes longer and is the same."""
+    folder = cache_folder()
+    if folder is None:
+        why = "as CARECONTACT_CACHE is empty" if CACHE_VARIABLE in os.environ else "as this user has no home folder"
+    else:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return Finding(name="kept", fine=True, detail=str(folder))
+        except OSError as error:
+            why = f"as {folder} cannot be written to ({error.strerror})"
+    told = f"nothing is kept between trials, {why}; name a folder in the variable {CACHE_VARIABLE} to make them faster"
+    return Finding(name="kept", fine=True, warning=True, detail=told)
 
 
 def check_isolation() -> Finding:
