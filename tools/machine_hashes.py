@@ -27,8 +27,8 @@ import numpy as np
 
 from carecontact.errors import counted
 from carecontact.recording import Recording, read_recording
-from carecontact.recording.arithmetic import arithmetic
 from carecontact.recording.canonical import WALL_CLOCK, header_json, little_endian
+from carecontact.recording.provenance import arithmetic
 
 HEADER = "header"
 CPU_FACTS = ("vendor_id", "cpu family", "model", "model name", "stepping")

@@ -6,7 +6,7 @@ For programs, ``load`` opens a finished run, ``compare`` compares two, and ``eva
 
 from importlib import import_module
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 # By name and not by import statements: those would be paid for by everybody, and would tie every part of the package
 # to this one. __init__.pyi tells type checkers the same.

@@ -16,6 +16,9 @@ from carecontact.runs import RunScores, score_run, write_scores
 from tests.reports.synthetic_run import NO_CONTACT, make_score
 from tests.scoring.synthetic import make_recording, push, touch
 
+NAMED = '<th scope="row" class="keep">c</th>'
+"""The baseline c in the tables of a page."""
+
 
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -216,12 +219,12 @@ def test_blind_baselines_stand_under_one_run_and_under_two(third: Path, capsys: 
 
 def test_a_report_shows_the_baselines(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "a", "--baseline", "c"]) == 0
-    assert "<h2>Baselines</h2>" in Path("a/report.html").read_text()
+    assert NAMED in Path("a/report.html").read_text()
     first = Path("a/report.html").read_bytes()
     assert main(["report", "b"]) == 0
     text = Path("b/report.html").read_text()
-    assert "<h2>Baselines</h2>" not in text
-    assert "No blind baselines" in text
+    assert NAMED not in text
+    assert "Shipped policies and blind baselines" in text
     capsys.readouterr()
     assert main(["report", "a"]) == 0
     assert "of the last report: c;" in capsys.readouterr().out
@@ -236,13 +239,13 @@ def test_baselines_of_a_report_move_with_it_and_are_missed_when_gone(
     for name in ("a", "c"):
         Path(name).rename(Path("study") / name)
     assert main(["report", "study/a"]) == 0
-    assert "<h2>Baselines</h2>" in Path("study/a/report.html").read_text()
+    assert NAMED in Path("study/a/report.html").read_text()
     shutil.rmtree("study/c")
     capsys.readouterr()
     assert main(["report", "study/a"]) == 0
     assert "baseline ../c is not in the report: study/c: no such folder" in capsys.readouterr().out
     text = Path("study/a/report.html").read_text()
-    assert "<h2>Baselines</h2>" not in text
+    assert NAMED not in text
     assert "Missing blind baselines" in text
     assert main(["report", "study/a", "--baseline", "b"]) == 0
     assert main(["report", "study/a", "--baseline", "nowhere"]) == 2
@@ -259,7 +262,7 @@ def test_baselines_that_an_earlier_release_remembered(third: Path, capsys: pytes
     earlier.write_text(json.dumps({"schema": "carecontact-null-arms-1", "runs": ["../c"]}))
     assert main(["report", "a"]) == 0
     assert "of the last report: c;" in capsys.readouterr().out
-    assert "<h2>Baselines</h2>" in Path("a/report.html").read_text()
+    assert NAMED in Path("a/report.html").read_text()
     assert main(["report", "a", "--baseline", "b"]) == 0
     assert not earlier.exists()
     assert json.loads(Path("a/baselines.json").read_text())["runs"] == ["../b"]
@@ -306,10 +309,17 @@ def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str
     write_scores("b", replace(score_run("b"), missing=("T3-s000",)))
     for path in Path("b").glob("*.h5"):
         path.unlink()
-    assert main(["compare", "a", "b", "--out", "both"]) == 0
+    assert main(["compare", "a", "b", "--out", "both"]) == 2
+    refused = capsys.readouterr().err
+    assert (
+        "a is incomplete, 3 of 5 planned trials have a verdict (the first without: T2-s001, no recording); give"
+        in refused
+    )
+    assert "or compare the trials that there are with --allow-incomplete" in refused
+    assert main(["compare", "a", "b", "--out", "both", "--allow-incomplete"]) == 0
     told = capsys.readouterr().out
-    assert "A: a (rules-v1), a: 3 trials, unfinished: 2 planned trials have no score" in told
-    assert "B: b (rules-v1), b: 4 trials, unfinished: 1 planned trial has no score; 1 without a partner" in told
+    assert "A: a (rules-v1), a: incomplete, 3 of 5 planned trials have a verdict" in told
+    assert "B: b (rules-v1), b: incomplete, 4 of 5 planned trials have a verdict; 1 without a partner" in told
     assert json.loads(Path("both/comparison.json").read_text())["a"]["n_missing"] == 2
 
 

@@ -130,7 +130,7 @@ def test_equal_failures_stand_together_with_up_to_three_logs(
     assert f"\n4 trials: NoGrip: nothing there; see {logs}\n  | " in told
     assert re.search(r"\n1 trial: the trial's process died of signal 9 .*; see r/T1-s004.log\n", told)
     assert "2 trials failed in the harness; logs are in r\n2 trials: the trial's process ended with status 7" in told
-    assert "; see r/T2-s000.log, r/T2-s001.log\nto run them again: " in told
+    assert "; see r/T2-s000.log, r/T2-s001.log\nthe same command runs them again\nto run crashed trials again: " in told
 
 
 XYZW = """

@@ -102,10 +102,12 @@ def test_run_tells_each_trial_as_it_ends(
     assert (last["schema"], last["status"], last["overall"]["n_episodes"]) == ("carecontact-run-1", 1, 1)
     assert last["ran"] == ["T1-s000", "T2-s000"]
 
-    assert main(command) == 1
+    assert (last["overall"]["n_planned"], last["overall"]["pc_success"]) == (2, None)
+
+    assert main(command) == 1, "the same command repeats what the machine caused"
     *trials, last = lines(capsys)
-    assert [(t["kept"], t["score"]) for t in trials] == [(True, None)] * 2
-    assert (last["ran"], last["kept"]) == ([], ["T1-s000", "T2-s000"])
+    assert [(t["trial_id"], t["kept"]) for t in trials] == [("T1-s000", True), ("T2-s000", False)]
+    assert (last["ran"], last["kept"]) == (["T2-s000"], ["T1-s000"])
 
 
 def test_score(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

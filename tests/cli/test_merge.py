@@ -50,7 +50,7 @@ def test_an_unfinished_part_is_named_and_a_later_merge_completes(
 ) -> None:
     Path("part-4/T2-s001.h5").unlink()
     assert main(["merge", "merged", *parts]) == 1
-    assert "3 of 4 planned trials scored; not scored: T2-s001" in capsys.readouterr().out
+    assert "no verdict on 1 planned trial, no recording: T2-s001" in capsys.readouterr().out
     assert main(part(4)) == 0
     assert main(["merge", "merged", "part-4"]) == 0
     assert "1 part: 1 recording copied into merged, 3 were there already" in capsys.readouterr().out
@@ -59,7 +59,7 @@ def test_an_unfinished_part_is_named_and_a_later_merge_completes(
 
 def test_a_part_that_was_forgotten_is_missing(parts: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["merge", "merged", *parts[:3]]) == 1
-    assert "3 of 4 planned trials scored; not scored: T2-s001" in capsys.readouterr().out
+    assert "no verdict on 1 planned trial, no recording: T2-s001" in capsys.readouterr().out
     assert main(["merge", "merged", parts[3]]) == 0
     assert main([*WHOLE, "--out", "whole"]) == 0
     assert Path("merged/manifest.json").read_bytes() == Path("whole/manifest.json").read_bytes()

@@ -64,7 +64,7 @@ def test_every_report_names_it(fake: pytest.MonkeyPatch, capsys: pytest.CaptureF
     tissue = ["--tissue", "rejected.toml", "--tissue", "calibrated.toml"]
     run = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r", "--allow-rejected", *tissue]
     assert main(run) == 0
-    told = f"tissue with a rejected calibration: forearm ({REASON})"
+    told = f"The calibration of this tissue was rejected: forearm ({REASON})."
     out = capsys.readouterr().out
     assert told in out
     assert "bathing-v2 with tissue rejected-forearm-0a+calibrated-abdomen-0a" in out
@@ -73,7 +73,16 @@ def test_every_report_names_it(fake: pytest.MonkeyPatch, capsys: pytest.CaptureF
     assert json.loads(Path("r/results.json").read_text())["rejected_tissue"] == f"forearm ({REASON})"
     page = Path("r/report.html").read_text()
     assert f"The calibration of this tissue was rejected: forearm ({REASON})." in page
-    assert "--allow-rejected" in rules_options(score_run(Path("r")).scores[0])
+    options = rules_options(score_run(Path("r")).scores[0])
+    assert "--allow-rejected" in options
+    assert options[options.index("--tissue") + 1] == "FILE.toml", "no command names the id of a file"
+    assert main([*run[:2], "zero-action", *run[3:8], "other", *run[9:]]) == 0
+    for command in (["compare", "r", "other"], ["compare", "r", "--baseline", "other"], ["paper", "r", "--out", "p"]):
+        capsys.readouterr()
+        assert main(command) == 0
+        assert told in " ".join(capsys.readouterr().out.split()), command
+    assert main(["report", "r/T1-s000.h5"]) == 0
+    assert told in Path("r/trial/T1-s000.html").read_text()
 
 
 def test_accepted_tissue_has_no_such_words(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

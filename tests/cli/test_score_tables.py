@@ -11,6 +11,7 @@ from carecontact.cli import main
 from carecontact.cli.score_tables import print_table
 from carecontact.contract.protocol import Protocol
 from carecontact.recording import Recording, write_recording
+from carecontact.runs.run_scores import RunScores
 from tests.reports.synthetic_run import FAILED, NO_CONTACT, PROTOCOL, Run, fill, make_score
 
 CRASHED = NO_CONTACT | {"ended": "process_failure", "failure_mode": "process_failure"}
@@ -29,7 +30,7 @@ def shown(
     scores: list, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, protocol: Protocol = PROTOCOL
 ) -> str:
     monkeypatch.setenv("COLUMNS", "80")
-    print_table(scores, protocol)
+    print_table(RunScores(scores=scores), protocol)
     return capsys.readouterr().out
 
 

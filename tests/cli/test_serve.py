@@ -116,8 +116,9 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
             "without --restart to continue"
         ]
         assert "the policy crashed in 1 of 1 trial" in told.out
-        assert "1 of 3 planned trials scored" in told.out
-        assert "Unfinished, 2 of 3 planned trials have no score" in Path("r/report.html").read_text()
+        assert "incomplete, 1 of 3 planned trials have a verdict: 0–2/3 safety-gated" in told.out
+        assert "no verdict on 2 planned trials, no recording: T1-s001, T1-s002" in told.out
+        assert "passes between 0 and 2 of 3 on the named" in Path("r/report.html").read_text()
         fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "unreached"}))
         assert main([*run, "none"]) == 2
         assert "the run stops with 0 of 3 trials done: " in capsys.readouterr().err

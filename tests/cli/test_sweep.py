@@ -149,7 +149,7 @@ def test_a_sweep_that_is_stopped_twice_resumes_where_it_was(fake: pytest.MonkeyP
 def test_the_parts_of_a_sweep_share_a_folder(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "p.toml", "--out", "s", "--shard", "1/2"]) == 0
     assert [row["trials"] for row in rows()] == ["2", "0", "2", "0"]
-    assert "Unfinished: 2 cells lack trials." in capsys.readouterr().out
+    assert "Incomplete: 2 cells lack the verdict on planned trials;" in capsys.readouterr().out
     assert main(["sweep", "p.toml", "--out", "s", "--shard", "2/2"]) == 0
     assert [row["trials"] for row in rows()] == ["2"] * 4
     assert main(["sweep", "p.toml", "--out", "s", "--shard", "5/5"]) == 2
@@ -327,7 +327,7 @@ def test_failures_of_a_cell_are_told_and_give_the_status(
     fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "exit"}))
     assert main(["sweep", "p.toml", "--out", "s", "--retry-failed"]) == 1
     assert [(row["harness_errors"], row["trials"]) for row in rows()] == [("1", "1")] * 4
-    assert "The harness failed in 4 trials, which are in no count." in Path("s/sweep.md").read_text()
+    assert "The harness failed in 4 trials, which have no verdict." in Path("s/sweep.md").read_text()
 
 
 def test_what_is_suspect_about_a_policy_is_told_in_one_of_its_cells(

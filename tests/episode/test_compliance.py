@@ -80,10 +80,10 @@ def test_an_axis_with_neither_spring_nor_force_is_refused(
 ) -> None:
     with Episode(t1, card=CARD, prepare=parked_world) as episode:
         episode.reset()
-        with pytest.raises(ActionError, match="stiffness: 0 z without a feedforward there"):
+        with pytest.raises(ActionError, match="stiffness: 0 along z, where no feedforward acts either"):
             episode.step(Action(stiffness=LOOSE_ALONG_Z), observe=False)
         episode.step(Action(stiffness=LOOSE_ALONG_Z, wrench_in_tcp=PUSH), observe=False)
-        with pytest.raises(ActionError, match="stiffness: 0 z without a feedforward there"):
+        with pytest.raises(ActionError, match="stiffness: 0 along z, where no feedforward acts either"):
             episode.step(Action(wrench_in_tcp=np.zeros(6)), observe=False)
         episode.step(Action(stiffness=(400.0, 20.0), wrench_in_tcp=np.zeros(6)), observe=False)
 

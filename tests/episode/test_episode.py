@@ -21,7 +21,7 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.wire.messages import observation_sha256
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, canonical_hash
-from carecontact.recording.arithmetic import ARITHMETIC, arithmetic
+from carecontact.recording.provenance import ARITHMETIC, arithmetic
 from carecontact.scoring import score_recording
 from carecontact.trials.trial import run_trial
 

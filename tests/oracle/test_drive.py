@@ -41,9 +41,9 @@ def test_it_does_the_task_on_a_person_who_breathes_and_moves(task: str, tmp_path
     assert 1.0 < np.median(force[force > 0.3]) < 20.0
 
 
-def test_a_recording_without_privilege_says_nothing_of_it() -> None:
+def test_a_recording_says_whether_there_was_privilege() -> None:
     recording = run_trial(TrialSpec(protocol=short(), task_id="T1", seed=0, policy="zero-action"))
-    assert "privileged" not in recording.header.model_dump(mode="json")
+    assert recording.header.model_dump(mode="json")["privileged"] is False
     assert "privileged" not in score_recording(recording).model_dump(mode="json")
 
 

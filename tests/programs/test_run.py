@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import carecontact as cc
-from carecontact.cli import machine
 from carecontact.errors import ConfigError, DependencyError
 from carecontact.programs import frames
 from carecontact.recording import write_recording
 from carecontact.runs import score_run, write_scores
+from carecontact.trials import machine
 from tests.scoring.synthetic import make_recording, push, touch
 
 

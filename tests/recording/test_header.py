@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -136,3 +137,17 @@ def test_an_earlier_schema_is_migrated(
     header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-0"}
     path = store(tmp_path / "T1-s000.h5", header, touch().arrays)
     assert read_header(path) == touch().header
+
+
+def test_the_bytes_of_a_header_are_pinned() -> None:
+    """Every hash of a recording covers them. A field that changes them on purpose changes this test."""
+    header = touch().header
+    spelled = json.loads(header_json(header))
+    assert sorted(spelled) == [
+        "card", "comfort_arm_deg", "control", "drawn", "embodiment", "ended", "failure", "human_joints", "identity",
+        "pose_base_in_world", "privileged", "regions", "schema_version", "segments", "sha256", "solver_warnings",
+        "spec", "versions",
+    ]  # fmt: skip
+    spelled["spec"] = spelled["versions"] = None  # the protocol and the packages have tests of their own
+    digest = hashlib.sha256(json.dumps(spelled, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    assert digest == "44e22f72c1ad26978beb2d225ef68d4ae150b9965ed6d3ae7f83df1f27d3d800"

@@ -83,7 +83,7 @@ def _policy() -> dict[str, Any]:
         "policy/notes/0000/map": np.zeros((4, 5), "f4"),
         "actions/time_s": np.array([0.0, 3.0, 6.0]),
         "actions/pose_tcp_in_base": np.array([[0.3, -0.4, 0.2, 1, 0, 0, 0]] * 2 + [[np.nan] * 7]),
-        "actions/stiffness": np.full((3, 2), 400.0),
+        "actions/stiffness": np.tile([400.0, 20.0], (3, 1)),
         "actions/observation_index": np.array([0, 0, 1], "i4"),
         "wall/act_s": np.array([0.25, 1.5]),
         "wall/policy_output": np.frombuffer(b"hello <b>world</b>", "u1"),

@@ -52,7 +52,6 @@ def compared(a: list[TrialScore], b: list[TrialScore]) -> Comparison:
     [
         ({}, "trials"),
         (DRAWN, "seeds"),
-        ({"world": {"drawn model": "ab" * 32}}, "seeds"),
         ({"protocol_id": "somebodys L0"}, "seeds"),
     ],
 )

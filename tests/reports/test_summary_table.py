@@ -42,13 +42,16 @@ def test_order_does_not_matter(run_of_7: Run) -> None:
     assert [r.task_id for r in summary_rows(run_of_7.scores)] == ["T1", "T2", "T3", "T4", "T5", "T6", "T7", POOLED]
 
 
-def test_harness_errors_are_in_no_count() -> None:
+def test_trials_without_a_verdict_leave_every_count_open() -> None:
     failed = NO_CONTACT | {"ended": "harness_error", "failure_mode": "process_failure", "c4_motion_activity": None}
     scores = [make_score("T1", 0), make_score("T1", 1, **failed), make_score("T2", 0, **failed)]
     touch, push, pooled = summary_rows(scores)
-    assert touch.cells()[1:] == summary_rows(scores[:1])[0].cells()[1:]
-    assert push.cells()[2:] == ["0", "0/0", "0/0", "0/0", "NA", "–", "NA", "NA"]
-    assert (pooled.n, pooled.success) == (1, 1)
+    assert touch.cells()[2:6] == ["1 of 2", "1–2/2", "1–2/2", "1–2/2"]
+    assert touch.cells()[6:] == summary_rows(scores[:1])[0].cells()[6:], "medians are of the verdicts"
+    assert push.cells()[2:] == ["0 of 1", "0–1/1", "0–1/1", "0–1/1", "NA", "–", "NA", "NA"]
+    assert (pooled.n, pooled.success, pooled.share(1)) == (1, 1, "1–3/3")
+    pooled = summary_rows(scores, ["T1-s001", "T2-s000", "T9-s004"])[-1]
+    assert pooled.trials == "1 of 4", "a task of which nothing is scored counts in all"
 
 
 def test_a_headline_metric_of_another_package_has_a_column(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,7 +43,7 @@ def test_a_force_above_the_gate_before_a_crash_counts() -> None:
     crashed = score_recording(replace(full, header=header))
     assert not crashed.crashed_untouched
     assert exceedances([GENTLE, crashed, DIED])["gate"] | {"pc_ci95": None} == {
-        "n": 1, "pc": 50.0, "pc_ci95": None, "n_success": 0
+        "n": 1, "pc": 50.0, "pc_between": [50.0, 50.0], "pc_ci95": None, "n_success": 0
     }  # fmt: skip
     assert quadrants([crashed])["crashed"] == 1
 

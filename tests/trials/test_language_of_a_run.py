@@ -39,7 +39,7 @@ def test_another_one_needs_another_folder(tmp_path: Path, before: str | None, no
 
 def test_a_recording_of_another_one_is_told_without_a_manifest(tmp_path: Path) -> None:
     failed = harness_error_recording(SPECS[0], kind="x", message="x")
-    header = failed.header.model_copy(update={"card": {"language_backend": "rules-v1"}})
+    header = failed.header.model_copy(update={"card": {"language_backend": "rules-v1"}, "ended": "done"})
     write_recording(Recording(header=header, arrays=failed.arrays), tmp_path / "T1-s000.h5")
     assert survey(SPECS, out=tmp_path, retry_failed=False, identity=identity("rules-v1")).keep
     with pytest.raises(ConfigError, match="recorded with language backend rules-v1"):

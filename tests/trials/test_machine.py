@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import re
+import tomllib
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,7 @@ from carecontact.trials.machine import (
 )
 from tests.trials.test_supervisor import Bench, specs
 
+ROOT = Path(__file__).parents[2]
 PLAN = """
 tasks = "T1"
 seeds = "0"
@@ -179,8 +181,9 @@ def test_what_an_extra_would_add_is_told_and_fails_nothing(monkeypatch: pytest.M
 
 
 def test_the_extras_are_those_of_the_package() -> None:
-    declared = metadata.metadata("carecontact").get_all("Provides-Extra") or []
-    assert set(machine.EXTRAS) == set(declared)
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    names = {extra: {re.split(r"[<>=]", line)[0] for line in lines} for extra, lines in declared.items()}
+    assert {extra: set(packages) for extra, (packages, _) in machine.EXTRAS.items()} == names
 
 
 def test_shipped_assets_match_their_provenance() -> None:

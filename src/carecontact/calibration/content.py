@@ -21,6 +21,8 @@ from carecontact.calibration.verdict import LIMITS, reasons
 from carecontact.contract.protocol import Calibration, Protocol
 from carecontact.kernel.found import sha256 as kernel_sha256
 
+LEAST_DEPTH_M = 0.001
+"""Least ``measured_depth_m`` that a protocol may have."""
 LOOSE = 4.0
 """A parameter is called hardly identified if the ends of its interval differ by more than this factor."""
 
@@ -42,7 +44,9 @@ def make_content(
     source = f"carecontact calibrate on the kernel, {counted}, data sha256 {file.sha256[:12]}"
     # Scores count the deflection of the anchors and not the travel of the tool.
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
-    tissue = fit.tissue.model_copy(update={"measured_depth_m": float(np.median(reached)), "source": source})
+    # A row must name at least 1 mm: anchors go less deep only in a fit that is rejected, as of a saturated load cell.
+    measured = max(LEAST_DEPTH_M, float(np.median(reached)))
+    tissue = fit.tissue.model_copy(update={"measured_depth_m": measured, "source": source})
     law = _law_values(fit)
     content = Content(
         verdict="accepted",

@@ -54,7 +54,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ImportError, AttributeError, RuntimeError) as error:
         if _module_of(error) not in ("mujoco", "OpenGL"):
             raise
+        from carecontact.sim.opengl import choose_backend
+
         told = f"OpenGL: {error}; `carecontact doctor` says what is wrong"
+        try:
+            choose_backend()
+        except CarecontactError as better:
+            told = str(better)
         print(_error_line(told), file=sys.stderr)
         return _ended(as_json, "DependencyError", told, 2)
     except KeyboardInterrupt:

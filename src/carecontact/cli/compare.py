@@ -40,6 +40,8 @@ class Compare:
     out: Path | None = None
     """Folder for comparison.json (two runs) and overview.json (three or more runs, or blind baselines); default: write
     neither file."""
+    allow_incomplete: Switch = False
+    """Also compare runs of which planned trials have no verdict, over the trials that there are, without a ranking."""
     rescore: Switch = False
     """Compute the scores again where a folder has recordings, in place of reading its results.json."""
 
@@ -71,11 +73,16 @@ class Compare:
 
     def _read(self, run: Path) -> RunScores:
         from carecontact.cli.stored import read_run
+        from carecontact.reports.compare.comparable import check_complete
 
         scores = read_run(run, rescore=self.rescore)
         if not scores.scores and scores.skipped:
             why = next(iter(scores.skipped.values()))
             raise ConfigError(f"{run}: no recording could be scored; reason for the first one: {why}")
+        if not self.allow_incomplete:
+            check_complete(
+                {str(run): scores}, otherwise=", or compare the trials that there are with --allow-incomplete"
+            )
         return scores
 
     def _compare_two(self, scored: Sequence[RunScores]) -> Comparison:
@@ -84,7 +91,7 @@ class Compare:
         from carecontact.reports.compare.comparison import compare_runs
         from carecontact.reports.text import crashed_text
 
-        comparison = compare_runs(*scored, per_task=self.per_task)
+        comparison = compare_runs(*scored, per_task=self.per_task, allow_incomplete=True)
         print_comparison(
             comparison, *self.runs, crashed=[crashed_text(run.scores) for run in scored],
             roles=[role_in(run.scores) for run in scored],
@@ -101,7 +108,7 @@ class Compare:
         from carecontact.reports.compare.overview import overview, overview_json
 
         named = list(zip(ascii_uppercase, scored, strict=False))
-        beside = {letter: beside_baselines(run, baselines) for letter, run in named if baselines}
+        beside = {letter: beside_baselines(run, baselines, allow_incomplete=True) for letter, run in named if baselines}
         found = overview(scored) if len(scored) > 2 else None
         if found is not None:
             print_overview(found, self.runs)

@@ -59,10 +59,13 @@ def print_comparison(
         _say(f"{name}: {_run_text(info, folder)}{remarks}{_alone_text(alone)}")
     tasks, seeds = counted(len(pairing.tasks), "task"), counted(len(pairing.seeds), "seed")
     _say(f"{counted(pairing.n, 'trial')} paired, {tasks}, {seeds}")
-    _print_lines(comparison.overall)
+    for line in filter(None, (comparison.rejected_tissue, comparison.machines)):
+        _say(line)
+    heads = [_head("A", comparison.a), _head("B", comparison.b)]
+    _print_lines(comparison.overall, heads)
     for task, lines in (comparison.per_task or {}).items():
         _say(f"\n{task}, {counted(lines[0].n_pairs, 'pair')}")
-        _print_lines(lines)
+        _print_lines(lines, heads)
     if not enough(len(pairing.seeds)):
         _say(f"\n{TOO_FEW}; run more seeds")
     _say(f"\n{OVER_TEXTS[comparison.over]}")
@@ -85,13 +88,8 @@ def _say(text: str) -> None:
 
 def _run_text(info: RunInfo, folder: Path) -> str:
     counts = [counted(info.n_trials, "trial")]
-    if info.n_harness_errors:
-        counts.append(f"{info.n_harness_errors} left out because the harness failed")
-    if info.skipped:
-        counts.append(f"{counted(len(info.skipped), 'recording')} skipped")
-    if info.n_missing:
-        n = info.n_missing
-        counts.append(f"unfinished: {n} planned trial{'s have' if n != 1 else ' has'} no score")
+    if info.n_planned > info.n_trials:
+        counts = [f"incomplete, {info.n_trials} of {counted(info.n_planned, 'planned trial')} have a verdict"]
     return f"{info.policy} ({', '.join(info.language_backend)}), {folder}: {', '.join(counts)}"
 
 
@@ -103,7 +101,13 @@ def _alone_text(alone: dict[str, str]) -> str:
     return f"; {len(alone)} without a partner in the other run ({why}): {names}"
 
 
-def _print_lines(lines: Sequence[Line]) -> None:
+def _head(name: str, info: RunInfo) -> str:
+    """Return the head of a run's column: ``A``, or ``A, 15 of 18 trials``."""
+    return name if info.n_planned == info.n_trials else f"{name}, {info.n_trials} of\n{info.n_planned} trials"
+
+
+def _print_lines(lines: Sequence[Line], heads: Sequence[str]) -> None:
+    """``heads``: of the columns of A and B."""
     from rich.padding import Padding
 
     from carecontact.cli.console import console, plain_table
@@ -119,10 +123,11 @@ def _print_lines(lines: Sequence[Line]) -> None:
             tests = ", ".join(f"{p} {test}" for test, p in zip(TESTS, pvalues, strict=True) if p != NOT_DEFINED)
             counted = "1 pair" if pairs == "1" else f"{pairs} pairs"
             terminal.print(f"{name}: {word}")
-            terminal.print(Padding(f"A {a}, B {b}, A - B {difference}, {counted}; p {tests}", (0, 0, 0, 2)))
+            of_a, of_b = (f"{head.replace(chr(10), ' ')}:" if "," in head else head for head in heads)
+            terminal.print(Padding(f"{of_a} {a}, {of_b} {b}, A - B {difference}, {counted}; p {tests}", (0, 0, 0, 2)))
     else:
         table = plain_table()
-        for header in COLUMNS:
+        for header in (COLUMNS[0], *heads, *COLUMNS[3:]):
             table.add_column(header, justify="left" if header in ("", "verdict") else "right")
         for cells, word in zip(rows, words, strict=True):
             table.add_row(*cells, word)

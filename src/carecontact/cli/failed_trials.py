@@ -34,8 +34,10 @@ def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
     if harness:
         print(f"{counted(len(harness), 'trial')} failed in the harness; logs are in {out}")
         _print_groups(harness, out, whole=False)
-    if crashed or harness:
-        print("to run them again: --restart after a change of the policy, --retry-failed if the cause lay outside it")
+        print("the same command runs them again")
+    if crashed:
+        print("to run crashed trials again: --restart after a change of the policy, --retry-failed if the cause lay "
+              "outside it")  # fmt: skip
 
 
 def failed_status(ended: Mapping[str, EndReason], *, allow_failures: bool) -> int:

@@ -30,11 +30,18 @@ def print_overview(overview: Overview, runs: Sequence[Path]) -> None:
         left = overview.left_out[letter]
         trials = "1 trial" if left == 1 else f"{left} trials"
         told = f": {trials} left out, because not every run has {'it' if left == 1 else 'them'}" if left else ""
-        print(f"{letter}: {policy}, {folder}{told}")
+        lacking = f": {overview.incomplete[letter]}" if letter in overview.incomplete else ""
+        print(f"{letter}: {policy}, {folder}{lacking}{told}")
     print(f"{overview.n} trial{' that all runs have' if overview.n == 1 else 's that all runs have'}\n")
     _print_rows(overview)
     _print_pairs(overview.pairs, overview.over)
-    _print_ranking(overview.ranking)
+    for line in filter(None, (overview.rejected_tissue, overview.machines)):
+        print(line)
+    if overview.ranking is None:
+        lacking = "; ".join(f"{letter} is {text}" for letter, text in overview.incomplete.items())
+        print(f"\nnot ranked: {lacking}")
+    else:
+        _print_ranking(overview.ranking)
 
 
 def _print_rows(overview: Overview) -> None:
@@ -50,7 +57,9 @@ def _print_rows(overview: Overview) -> None:
     for letter, row in overview.rows.items():
         rates = overview.rates[letter].values()
         cells = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=overview.seeds) for p in rates]
-        table.add_row(letter, *cells, *row.median_cells())
+        table.add_row(
+            f"{letter} (incomplete)" if letter in overview.incomplete else letter, *cells, *row.median_cells()
+        )
     console(WIDTH).print(table)
     if not enough(overview.seeds):
         print(TOO_FEW)
@@ -126,6 +135,8 @@ def print_baselines(found: Baselines, letter: str) -> None:
     from carecontact.cli.console import console, plain_table
 
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
+    if not letter:
+        print(found.protocol)
     if found.only_blind:
         print(f"\nblind baselines beside {name}: how often policies pass that cannot do the task")
     else:
@@ -143,6 +154,10 @@ def print_baselines(found: Baselines, letter: str) -> None:
         places = ", ".join(f"{task} {at.rate.k}/{at.rate.n}" for task, at in found.floor.items() if task != "all")
         blind = "best blind baseline" if best.blind else "best baseline (not registered as blind)"
         print(f"{blind}, safety-gated: {best.policy} {best.rate.k}/{best.rate.n}; of each task: {places}")
+    if others := [row.policy for row in found.baselines if not row.n_pairs]:
+        print(f"other seeds, no trial in common with {name}: {', '.join(others)}; their differences are unpaired")
+    for line in filter(None, ("" if letter else found.rejected_tissue, found.machines)):
+        print(line)
     print(
         f"rates in percent of trials, with 95 % intervals {INTERVALS_OVER[found.over]} where there are six seeds; "
         "difference: of the safety-gated rates, in percentage points; T1, T2, ...: safety-gated / trials"
@@ -152,12 +167,15 @@ def print_baselines(found: Baselines, letter: str) -> None:
 def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
     from carecontact.reports.text import NOT_DEFINED
 
-    rates = [_interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=row.seeds) for p in row.rates.values()]
+    rates = [
+        row.count(name) if row.unknown else _interval(100 * p.k / p.n, 100 * p.low, 100 * p.high, seeds=row.seeds)
+        for name, p in row.rates.items()
+    ]
     above = NOT_DEFINED if row.above is None else _points(row.above["safety_gated"], row.above_seeds or 0)
     pairs = NOT_DEFINED if row.n_pairs is None else str(row.n_pairs)
     counts = [row.per_task.get(task, {}).get("safety_gated") for task in tasks]
     return [
-        row.policy + ROLE_WORDS.get(row.role, ""), str(row.n), *rates, above, pairs,
+        row.policy + ROLE_WORDS.get(row.role, ""), row.trials, *rates, above, pairs,
         *(NOT_DEFINED if count is None else f"{count[0]}/{count[1]}" for count in counts),
     ]  # fmt: skip
 

@@ -35,8 +35,9 @@ class Paper:
     def __call__(self) -> int:
         """Raises ConfigError for runs that cannot be read or must not stand in one table."""
         from carecontact.cli.stored import read_run
-        from carecontact.reports.compare.comparable import check_different
+        from carecontact.reports.compare.comparable import check_complete, check_different
         from carecontact.reports.paper.build import remove_earlier, tables_of, write_tables
+        from carecontact.runs.pooling import rejected_text
 
         if not self.runs:
             raise ConfigError("expected one or more runs; name their folders")
@@ -44,6 +45,9 @@ class Paper:
             raise ConfigError(f"--out {self.out}: this is a file; name a folder")
         check_different(self.runs)
         runs = [read_run(path) for path in self.runs]
+        check_complete({str(path): run for path, run in zip(self.runs, runs, strict=True)})
+        for line in {text for run in runs if (text := rejected_text(run.scores))}:
+            print(f"warning: {line}")
         protocol = _protocol(self.runs, runs)
         if protocol is None:
             print("no recording and no shipped protocol says what these runs ran: the tables of tasks and protocol are "

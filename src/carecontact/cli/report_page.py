@@ -33,6 +33,7 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
         recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
         skipped=run.skipped,
         missing=run.missing,
+        elsewhere=run.elsewhere,
         baselines=beside,
         lost_baselines=lost,
         kept_scores=why_none,

@@ -79,7 +79,9 @@ def publish(
     if path is not None:
         for line in differences(before, _results(folder)):
             print(line)
-        _print_scores(run.scores, folder)
+        _print_scores(run, folder)
+    if run.incomplete and path is None:
+        print(run.incomplete)
     _print_left_out(run)
     if kept and run.scores:
         print(f"{folder / RESULTS} was not replaced: --allow-missing replaces it with the scores of what is there")
@@ -120,20 +122,20 @@ def need_recordings(folder: Path) -> None:
         raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{told}")
 
 
-def _print_scores(scores: Sequence[TrialScore], folder: Path) -> None:
+def _print_scores(run: RunScores, folder: Path) -> None:
     from carecontact.cli.score_tables import print_table
     from carecontact.protocols.frozen_state import drifted_sha256
-    from carecontact.runs.pooling import judged
+    from carecontact.runs.pooling import judged, mixed, rejected_text
 
-    first = scores[0]
+    scores, first = run.scores, run.scores[0]
     changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
     if first.overrides or changed:
         print(f"protocol: {first.protocol_title}{f', {changed}' if changed else ''}")
-    if rejected := first.world.get("rejected_tissue"):
-        print(f"warning: tissue with a rejected calibration: {rejected}")
     if backends := sorted({s.language_backend for s in judged(scores)} - {"none"}):
         print(f"language: {', '.join(backends)}")
-    print_table(scores, _protocol(scores, folder))
+    print_table(run, _protocol(scores, folder))
+    for told in filter(None, (rejected_text(scores), mixed(scores))):
+        print(f"warning: {told}")
 
 
 def _protocol(scores: Sequence[TrialScore], folder: Path) -> Protocol | None:
@@ -146,18 +148,15 @@ def _protocol(scores: Sequence[TrialScore], folder: Path) -> Protocol | None:
 
 def _print_left_out(run: RunScores) -> None:
     from carecontact.reports.text import listed
-    from carecontact.runs.pooling import harness_errors
 
-    failed = harness_errors(run.scores)
-    if failed:
-        trials = ", ".join(error["trial_id"] for error in failed)
-        why = failed[0]["message"].partition("\n")[0]
-        print(f"harness failed, not counted: {counted(len(failed), 'trial')}: {trials} (first: {why})")
     for name, why in run.skipped.items():
         print(f"skipped {name}: {why}")
-    if run.missing:
-        planned = len(run.scores) + len(run.missing)
-        print(f"{len(run.scores)} of {planned} planned trials scored; not scored: {listed(run.missing)}")
+    reasons: dict[str, list[str]] = {}
+    for trial, why in run.unjudged.items():
+        if f"{trial}.h5" not in run.skipped:
+            reasons.setdefault(why.partition("\n")[0], []).append(trial)
+    for why, trials in reasons.items():
+        print(f"no verdict on {counted(len(trials), 'planned trial')}, {why}: {listed(trials)}")
 
 
 def _results(folder: Path) -> object:

@@ -11,29 +11,39 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from carecontact.contract.protocol import Protocol
+    from carecontact.reports.table import SummaryRow
+    from carecontact.runs.run_scores import RunScores
     from carecontact.scoring.result import TrialScore
 
 WIDTH = 120
 """Width of the tables if the output does not go to a terminal [columns]."""
 
 
-def print_table(scores: Sequence[TrialScore], protocol: Protocol | None) -> None:
+def print_table(run: RunScores, protocol: Protocol | None) -> None:
     """Print counts by task, medians of every metric, and the counts that a success rate hides.
 
     Args:
+        run: at least one score.
         protocol: the run's protocol, from one of its recordings; None if none could be read.
     """
     from carecontact.cli.console import console, plain_table
     from carecontact.reports.failures import only_crashes
+    from carecontact.reports.table import summary_rows
     from carecontact.runs.pooling import judged
 
-    terminal, table = console(WIDTH), plain_table()
+    scores, terminal, table = run.scores, console(WIDTH), plain_table()
     for header in ("task", "trials", "success", "region-\ncorrect", "safety-\ngated", "peak force\n[N]"):
         table.add_column(header, justify="left" if header == "task" else "right")
-    tasks = sorted({s.task_id for s in scores})
-    for task in tasks:
-        table.add_row(*_task_cells([s for s in scores if s.task_id == task]))
+    *rows, whole = summary_rows(scores, run.unjudged)
+    tasks = [row.task_id for row in rows]
+    for row in rows:
+        of_task = [s for s in scores if s.task_id == row.task_id]
+        table.add_row(f"{row.task_id} {row.name.lower()}", *_counts(row), _peaks(of_task))
     terminal.print(table)
+    if run.incomplete:
+        passed = whole.share(whole.safety_gated)
+        told = f"{run.incomplete}: {passed} safety-gated, from all others failed to all others passed; {run.completing}"
+        terminal.print(told, soft_wrap=True)
     modes = {task: _modes([s for s in judged(scores) if s.task_id == task]) for task in tasks}
     if any(modes.values()):
         terminal.print("\nfailures", style="bold")
@@ -44,20 +54,20 @@ def print_table(scores: Sequence[TrialScore], protocol: Protocol | None) -> None
         terminal.print("\nthe policy crashed in every trial before any contact, so that there are no medians")
     else:
         _print_medians(scores, terminal)
-    _print_counts(scores, protocol, terminal)
+    _print_counts(run, protocol, terminal)
 
 
-def _task_cells(of_task: Sequence[TrialScore]) -> list[str]:
+def _counts(row: SummaryRow) -> list[str]:
+    """Return the trials, and how many of them passed each gate: ``9–12`` where three have no verdict."""
+    passed = (row.success, row.region_correct, row.safety_gated)
+    return [row.trials, *(row.share(k).partition("/")[0] for k in passed)]
+
+
+def _peaks(of_task: Sequence[TrialScore]) -> str:
     from carecontact.runs.pooling import judged
 
-    rows = judged(of_task)
-    peaks = sorted(s.c1_peak_force_n for s in rows if s.c1_peak_force_n is not None)
-    return [
-        f"{of_task[0].task_id} {of_task[0].action} {of_task[0].region.replace('_', ' ')}",
-        str(len(rows)),
-        *(str(sum(getattr(s, field) for s in rows)) for field in ("c3_success", "region_correct", "safety_gated")),
-        "NA" if not peaks else f"{peaks[0]:.1f}" if len(peaks) == 1 else f"{peaks[0]:.1f} to {peaks[-1]:.1f}",
-    ]
+    peaks = sorted(s.c1_peak_force_n for s in judged(of_task) if s.c1_peak_force_n is not None)
+    return "NA" if not peaks else f"{peaks[0]:.1f}" if len(peaks) == 1 else f"{peaks[0]:.1f} to {peaks[-1]:.1f}"
 
 
 def _modes(scores: Sequence[TrialScore]) -> str:
@@ -93,21 +103,24 @@ def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
         columns = columns[shown:]
 
 
-def _print_counts(scores: Sequence[TrialScore], protocol: Protocol | None, terminal: Console) -> None:
+def _print_counts(run: RunScores, protocol: Protocol | None, terminal: Console) -> None:
     from carecontact.cli.console import plain_table
     from carecontact.reports.joint_words import joint_counts
     from carecontact.reports.limit_rows import limit_rows
     from carecontact.reports.nursing import nursing_rows
     from carecontact.runs.aggregate import quadrants, valid_ratio
-    from carecontact.runs.pooling import judged
+    from carecontact.runs.pooling import judged, share
     from carecontact.scoring.limits import footnote
 
-    counted = judged(scores)
+    counted = judged(run.scores)
     if not counted:
         return
+    if run.incomplete:
+        terminal.print(f"\n{run.incomplete}; of these:")
     touched = sum(s.valid_contact for s in counted)
     scored = valid_ratio(counted)["n"]
-    terminal.print(f"\ntrials with a trajectory to score: {scored} of {len(counted)}; with valid contact: {touched}")
+    of_all = share(scored, len(counted), len(run.unjudged))
+    terminal.print(f"\ntrials with a trajectory to score: {of_all}; with valid contact: {touched}")
     *found, crashed = quadrants(counted).items()
     terminal.print("; ".join(f"{name.replace('_', ' ')}: {k}" for name, k in found))
     over = sum(s.is_crash and bool(s.over_limit) for s in counted)
@@ -116,14 +129,14 @@ def _print_counts(scores: Sequence[TrialScore], protocol: Protocol | None, termi
         terminal.print(f"{row.title} ({row.metric}): {row.yes} of {row.n}")
     if joints := joint_counts(counted):
         terminal.print(joints)
-    rows = limit_rows(counted, gamma=None)
+    rows = limit_rows(counted, gamma=None, unknown=len(run.unjudged))
     if not rows:
         return
     table = plain_table()
     for header in ("limit", "trials\nabove", "of them\nsuccessful"):
         table.add_column(header, justify="left" if header == "limit" else "right")
     for row in rows:
-        table.add_row(row.name, f"{row.above.k} of {row.above.n}", str(row.n_success))
+        table.add_row(row.name, row.count, str(row.n_success))
     terminal.print()
     terminal.print(table)
     if note := footnote(row.name for row in rows):

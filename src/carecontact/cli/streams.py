@@ -27,6 +27,7 @@ def prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, "w"))
         elif isinstance(stream, io.TextIOWrapper):
             if stream.isatty() or _is_piped(stream, number):
+                stream.flush()  # What a program printed before it called this stays before it.
                 output = io.BufferedWriter(_Output(number, "w", closefd=False))
                 # At each line also where PYTHONUNBUFFERED is set.
                 lines = stream.line_buffering or stream.write_through

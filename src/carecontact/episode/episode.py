@@ -27,8 +27,7 @@ from carecontact.contract.control import CONTROLS
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Protocol
-from carecontact.contract.session import ActionBounds, Session
+from carecontact.contract.session import Session
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.camera_poses import CameraPoses
 from carecontact.episode.cells import CellLog
@@ -46,7 +45,7 @@ from carecontact.episode.vision import person_segmenter
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.observation.builder import ObservationBuilder, RawReadings
 from carecontact.observation.keypoints import MediaPipePose
-from carecontact.recording.arithmetic import ARITHMETIC, arithmetic
+from carecontact.recording.provenance import ARITHMETIC, RENDERER, arithmetic
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
 from carecontact.regions import REGIONS
 from carecontact.sim.impedance import steps_of_period
@@ -170,7 +169,7 @@ class Episode:
     def session(self) -> Session:
         """What a policy learns before its first observation: limits and cameras."""
         return Session(
-            action_bounds=_bounds_of(self.protocol),
+            action_bounds=self.protocol.impedance.action_bounds,
             joint_low_rad=PANDA.joint_low_rad,
             joint_high_rad=PANDA.joint_high_rad,
             camera_sizes_px={name: (c.width, c.height) for name, c in self.protocol.cameras.items()},
@@ -322,6 +321,7 @@ class Episode:
         )
         extra["wall/report_renders"] = np.array([report_renders], "<f8")
         extra[ARITHMETIC] = np.frombuffer(arithmetic().encode(), "u1")
+        extra[RENDERER] = np.frombuffer(self._renderer.drawn_by.encode(), "u1")
         header = header_of(
             self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
             card=None if self.card is None else self.card.plain(),
@@ -362,17 +362,6 @@ class Episode:
             if cut is not None:
                 return cut
         return None
-
-
-def _bounds_of(protocol: Protocol) -> ActionBounds:
-    """Return the workspace and the range of stiffness that a protocol allows."""
-    impedance = protocol.impedance
-    return ActionBounds(
-        workspace_low_m=impedance.workspace_low_m,
-        workspace_high_m=impedance.workspace_high_m,
-        translational_stiffness=impedance.translational_bounds,
-        rotational_stiffness=impedance.rotational_bounds,
-    )
 
 
 def _world(spec: TrialSpec) -> World:

@@ -10,7 +10,7 @@ from carecontact.episode.drawn import drawn_facts
 from carecontact.episode.ended import Ended
 from carecontact.kernel.found import identity as kernel_identity
 from carecontact.recording.schema import SEGMENTS, Header
-from carecontact.recording.versions import trial_versions
+from carecontact.recording.versions import DECLARED, trial_versions
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.world.robot import panda_sha256
 
@@ -47,6 +47,7 @@ def header_of(
         regions=list(spec.protocol.regions),
         human_joints=simulation.joint_names,
         pose_base_in_world=simulation.pose_base_in_world.tolist(),
+        identity=DECLARED,
         versions=trial_versions(spec.protocol),
         sha256={
             "model": model_sha256,

@@ -9,13 +9,16 @@ from carecontact.reports.compare.comparable import check_different
 from carecontact.reports.compare.comparison import Comparison, compare_runs
 
 
-def compare(a: Run | str | Path, b: Run | str | Path, *, per_task: bool = False) -> Comparison:
+def compare(
+    a: Run | str | Path, b: Run | str | Path, *, per_task: bool = False, allow_incomplete: bool = False
+) -> Comparison:
     """Compare two runs trial by trial; every difference is a minus b (docs/statistics.md).
 
     Args:
         a: a run, or the place of one.
         b: the other run.
         per_task: whether to compare each task alone as well.
+        allow_incomplete: whether to compare runs of which planned trials have no verdict, over those that there are.
 
     Returns what the command prints: ``overall`` has one line for each rate and score, ``per_task`` the lines of each
     task, and ``as_json()`` gives the content of ``comparison.json``.
@@ -24,4 +27,4 @@ def compare(a: Run | str | Path, b: Run | str | Path, *, per_task: bool = False)
     """
     check_different([run.path if isinstance(run, Run) else Path(run) for run in (a, b)])
     of_a, of_b = (run if isinstance(run, Run) else load(run) for run in (a, b))
-    return compare_runs(of_a.scored, of_b.scored, per_task=per_task)
+    return compare_runs(of_a.scored, of_b.scored, per_task=per_task, allow_incomplete=allow_incomplete)

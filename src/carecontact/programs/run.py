@@ -53,7 +53,8 @@ class Run:
 
     def __repr__(self) -> str:
         policy = self.scores[0].policy_title if self.scores else "no policy"
-        return f"Run({str(self.path)!r}: {policy}, {len(self.scores)} trial{'' if len(self.scores) == 1 else 's'})"
+        trials = self.incomplete or f"{len(self.scores)} trial{'' if len(self.scores) == 1 else 's'}"
+        return f"Run({str(self.path)!r}: {policy}, {trials})"
 
     @property
     def scores(self) -> list[TrialScore]:
@@ -64,6 +65,16 @@ class Run:
     def missing(self) -> tuple[str, ...]:
         """Trials that were planned and have no score."""
         return self.scored.missing
+
+    @property
+    def unjudged(self) -> dict[str, str]:
+        """Planned trial -> why it has no verdict; empty for a complete run. Every rate is open by as many trials."""
+        return self.scored.unjudged
+
+    @property
+    def incomplete(self) -> str:
+        """``incomplete, 15 of 18 planned trials have a verdict``; empty for a complete run."""
+        return self.scored.incomplete
 
     @property
     def skipped(self) -> dict[str, str]:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, field_validator, model_serializer
+from pydantic import BaseModel, ConfigDict, field_validator
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import UnknownNameError
@@ -23,6 +23,9 @@ SCHEMA_VERSION = "carecontact-recording-3"
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
+CUTS = ("force", "solver", "joint_speed")
+"""Kinds of the failure of a trial that the benchmark stopped: a force above the limit, diverging physics, and a joint
+of the robot that was faster than its controller allows."""
 KILLED, POLICY_KILLED = "signal", "killed"
 """Kinds of the failure of a trial that lost its process, or its policy's, to a signal: of the harness error, if the
 policy did not run, and of the process failure, if it did. The same command repeats such a trial by itself."""
@@ -98,7 +101,8 @@ same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text,
 isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
 leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
 ``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``). ``wall/arithmetic``
-names, as text, the libraries that rounded the numbers (``recording.arithmetic``)."""
+names, as text, the libraries that rounded the numbers (``recording.provenance``), and ``wall/renderer`` what drew the
+pictures: vendor, renderer and version as OpenGL names them."""
 
 
 class Failure(BaseModel):
@@ -130,6 +134,9 @@ class Header(BaseModel):
     human_joints: list[str]
     pose_base_in_world: list[float]
     """(7,) position, quat_wxyz"""
+    identity: dict[str, str] = {}
+    """Declared versions of what simulated the trial (``recording.versions.DECLARED``); empty in a recording of release
+    0.1.0, which declared none."""
     versions: dict[str, str]
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
@@ -143,25 +150,11 @@ class Header(BaseModel):
         """Name of the body that lay there: the one that was drawn, or the protocol's where none is drawn."""
         return str(self.drawn.get("body") or self.spec.protocol.person.body)
 
-    @model_serializer(mode="wrap")
-    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out ``drawn`` where it is empty: such a trial keeps the header that it had before."""
-        content = serialize(self)
-        if not self.drawn:
-            del content["drawn"]
-        return content
-
     @field_validator("spec")
     @classmethod
     def _sealed(cls, spec: TrialSpec) -> TrialSpec:
         """A recording may be shown to anyone, at once; the salt of its run may not."""
         return spec.sealed
-
-    @model_serializer(mode="wrap")
-    def _without_privilege(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave the field out where there is no privilege: such a trial keeps the header, and so the hash, that it had
-        before there was the field."""
-        return {name: value for name, value in serialize(self).items() if name != "privileged" or value}
 
     @property
     def protocol_sha256(self) -> str:

@@ -15,6 +15,12 @@ PACKAGES = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
 SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers", "pillow")}
 """Segmenter -> what it runs on besides the packages of every trial."""
 
+DECLARED = {"world": "1", "kernel": "1", "perception": "1", "noise": "1"}
+"""Part of the simulation -> its declared version, by which a recording says in which world its trial ran. The version
+of a part is raised with every change that moves a number by more than rounding; tests/golden holds reference trials of
+this version to a relative 1e-9, with equal verdicts. Bytes that depend on the machine, such as those of the compiled
+model, are provenance and decide nothing: linear algebra rounds differently on another processor."""
+
 
 def trial_versions(protocol: Protocol) -> dict[str, str]:
     """Return the versions of everything that decides the numbers of a protocol's trials."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from carecontact.runs.pooling import decides_force, judged
+from carecontact.runs.pooling import decides_force, judged, share
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, wilson_interval
@@ -20,6 +20,8 @@ class LimitRow:
     """Source of the limit, and whether it was checked."""
     above: Proportion
     """Trials, failed ones too, with a touched segment above the limit, of those that ``decides_force`` leaves."""
+    unknown: int
+    """Planned trials without a verdict."""
     n_success: int
     """How many of these trials succeeded all the same."""
     worst: float | None
@@ -27,13 +29,19 @@ class LimitRow:
     worst_at: str
     """Trial and segment; empty where nothing was touched."""
 
+    @property
+    def count(self) -> str:
+        """``2 of 15``, or ``2 to 5 of 18`` where three planned trials have no verdict."""
+        return share(self.above.k, self.above.n, self.unknown)
 
-def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[LimitRow]:
+
+def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None, unknown: int = 0) -> list[LimitRow]:
     """Return one row for each set of limits over the trials that are ``judged``: the safety gate first, and packs that
     the protocol does not use last. Empty where no trial decides: the policy crashed in every one before any contact.
 
     Args:
         gamma: the protocol's discount, for the name of the gate; None where no recording could be read.
+        unknown: planned trials without a verdict.
     """
     counted = decides_force(judged(scores))
     if not counted:
@@ -43,14 +51,14 @@ def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None) -> list[Lim
     title = ", ".join(LIMIT_PACKS[p].title if p in LIMIT_PACKS else p for p in sorted(own) if p) or "pain limits"
     rows = [
         _row(f"Safety gate, {share} of the pain limit", "decides whether a trial is safety-gated", counted,
-             _gate_ratio(gamma), lambda s: bool(s.over_limit)),
-        _row(title, "the protocol's pain limits, F_pain", counted, _pain_ratio, None),
+             _gate_ratio(gamma), lambda s: bool(s.over_limit), unknown),
+        _row(title, "the protocol's pain limits, F_pain", counted, _pain_ratio, None, unknown),
     ]  # fmt: skip
     for name, pack in LIMIT_PACKS.items():
         if name not in own and pack.unit == "N":
             rows.append(
                 _row(pack.title, pack.source, counted,
-                     lambda s, segment, pack=pack: s.peak_force_n[segment] / pack.limit(segment), None)
+                     lambda s, segment, pack=pack: s.peak_force_n[segment] / pack.limit(segment), None, unknown)
             )  # fmt: skip
     return rows
 
@@ -61,6 +69,7 @@ def _row(
     scores: Sequence[TrialScore],
     ratio: Ratio | None,
     is_above: Callable[[TrialScore], bool] | None,
+    unknown: int,
 ) -> LimitRow:
     ratios = [(ratio(s, segment), s, segment) for s in scores for segment in s.peak_force_n] if ratio else []
     worst = max(ratios, key=lambda row: row[0], default=None)
@@ -73,6 +82,7 @@ def _row(
         name=name,
         note=note,
         above=wilson_interval(len(above), len(scores)),
+        unknown=unknown,
         n_success=sum(s.c3_success for s in above),
         worst=None if worst is None else worst[0],
         worst_at="" if worst is None else f"{worst[1].trial_id}, {worst[2].replace('_', ' ')}",

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from carecontact.protocols import shipped_protocols
+from carecontact.protocols.tissue_sets import shipped_tissue_sets
 from carecontact.runs.plan import compact
 from carecontact.scoring.result import TrialScore
 
@@ -36,7 +37,8 @@ def replay_commands(scores: Sequence[TrialScore], folder: Path, *, trials: bool 
 def rules_options(score: TrialScore) -> list[str]:
     """Return options of ``carecontact run`` that give the rules of a trial: protocol, level and every replaced field.
 
-    A file that a score does not name stands as ``FILE.toml`` (protocol), ``FOLDER`` (weights) or ``FILE`` (salt).
+    A file that a score does not name stands as ``FILE.toml`` (protocol, tissue), ``FOLDER`` (weights) or ``FILE``
+    (salt).
     """
     name, _, level = score.protocol_id.partition(" ")
     found = ["--protocol", name if name in shipped_protocols() else "FILE.toml"]
@@ -48,7 +50,9 @@ def rules_options(score: TrialScore) -> list[str]:
             model, _, weights = value.partition(" ")
             found += ["--segmenter", model, *(["--weights", "FOLDER"] if weights else [])]
         elif field in OPTIONS:
-            found += [OPTIONS[field], value]
+            # The set of a calibration is a file that the score does not name.
+            is_file = OPTIONS[field] == "--tissue" and value not in shipped_tissue_sets()
+            found += [OPTIONS[field], "FILE.toml" if is_file else value]
         else:
             found += ["--set", f"{field}={value}"]
     found += ["--allow-rejected"] if score.world.get("rejected_tissue") else []

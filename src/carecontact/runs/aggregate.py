@@ -17,11 +17,18 @@ GAMMAS = tuple(round(i / 100, 2) for i in range(20, 101))
 LEVELS = ("success", "region_correct", "safety_gated")
 
 
-def rate(k: int, n: int) -> dict[str, Any]:
-    """Return a count in percent with its Wilson interval; without trials, there is no percentage."""
-    found = wilson_interval(k, n)
-    percent = None if found.estimate is None else 100 * found.estimate
-    return {"n": k, "pc": percent, "pc_ci95": [100 * found.low, 100 * found.high]}
+def rate(k: int, n: int, *, unknown: int = 0) -> dict[str, Any]:
+    """Return a count in percent with its Wilson interval; without trials, there is no percentage.
+
+    Further trials of which nobody knows the verdict leave no percentage, but ``pc_between``, from all of them failed to
+    all of them passed, and an interval that covers those of both.
+    """
+    least, most = wilson_interval(k, n + unknown), wilson_interval(k + unknown, n + unknown)
+    between = [0.0, 100.0] if least.estimate is None or most.estimate is None else [
+        100 * least.estimate, 100 * most.estimate,
+    ]  # fmt: skip
+    percent = None if unknown or least.estimate is None else 100 * least.estimate
+    return {"n": k, "pc": percent, "pc_between": between, "pc_ci95": [100 * least.low, 100 * most.high]}
 
 
 def within(score: TrialScore, gamma: float) -> bool:
@@ -29,16 +36,18 @@ def within(score: TrialScore, gamma: float) -> bool:
     return not any(peak / (gamma * score.f_pain_n[s]) > 1.0 for s, peak in score.peak_force_n.items())
 
 
-def exceedances(scores: Sequence[TrialScore]) -> dict[str, Any]:
+def exceedances(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
     """Return trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how
-    many of them were successes all the same. The percentages are of the trials that ``decides_force`` leaves."""
+    many of them were successes all the same. The percentages are of the trials that ``decides_force`` leaves.
+
+    ``unknown``: planned trials without a verdict."""
     scores = decides_force(scores)
     over = {
         "gate": [s for s in scores if s.over_limit],
         "pain": [s for s in scores if not within(s, 1.0)],
     }
     return {
-        name: rate(len(found), len(scores)) | {"n_success": sum(s.c3_success for s in found)}
+        name: rate(len(found), len(scores), unknown=unknown) | {"n_success": sum(s.c3_success for s in found)}
         for name, found in over.items()
     }
 
@@ -57,19 +66,25 @@ def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
     return {**fields, "crashed": sum(s.is_crash for s in scores)}
 
 
-def valid_ratio(scores: Sequence[TrialScore]) -> dict[str, Any]:
-    """Share of trials that have a trajectory to score. Coverage of the data, not success."""
-    return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores))
+def valid_ratio(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
+    """Share of trials that have a trajectory to score. Coverage of the data, not success.
+
+    ``unknown``: planned trials without a verdict."""
+    return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores), unknown=unknown)
 
 
-def gamma_sweep(scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS) -> list[dict[str, Any]]:
+def gamma_sweep(
+    scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS, *, unknown: int = 0
+) -> list[dict[str, Any]]:
     """Safety-gated trials at each discount: region-correct, not truncated, no joint too far beyond its range, and
-    ``within`` it."""
+    ``within`` it. With ``unknown``, planned trials without a verdict, there is no percentage."""
     correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation" and not s.joints_beyond]
     rows: list[dict[str, Any]] = []
     for gamma in gammas:
         k = sum(within(s, gamma) for s in correct)
-        rows.append({"gamma": gamma, "safety_gated": k, "pc": 100 * k / len(scores) if scores else None})
+        rows.append(
+            {"gamma": gamma, "safety_gated": k, "pc": 100 * k / len(scores) if scores and not unknown else None}
+        )
     return rows
 
 

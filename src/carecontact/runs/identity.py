@@ -16,10 +16,9 @@ from pydantic import BaseModel, ConfigDict
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
-from carecontact.kernel.found import identity as kernel_identity
 from carecontact.policies.language.selection import language_name
 from carecontact.policies.registry import POLICIES, policy_target
-from carecontact.recording.versions import package_versions, supplier_versions
+from carecontact.recording.versions import DECLARED, package_versions, supplier_versions
 from carecontact.runs.fingerprint import fingerprints
 
 
@@ -41,14 +40,18 @@ class Identity(BaseModel):
     """Argument that names a file or folder -> fingerprint of its content, such as a checkpoint's."""
     environment: tuple[str, ...] = ()
     """Names of the variables that --policy-env let pass."""
+    world: dict[str, str] = DECLARED
+    """Declared versions of what simulates a trial."""
     versions: dict[str, str]
     sha256: dict[str, str]
-    """Hashes of the archives of the body and the robot, and of the compiled tissue; keys and values are those of a
-    recording's header."""
+    """Hashes of the archives of the body and the robot; keys and values are those of a recording's header."""
 
-    def differences(self, *, versions: Mapping[str, str], sha256: Mapping[str, str]) -> list[str]:
+    def differences(
+        self, *, versions: Mapping[str, str], sha256: Mapping[str, str], world: Mapping[str, str]
+    ) -> list[str]:
         """List the differences of this identity from an older one; fields that the older one lacks do not count."""
         pairs = [(name, versions.get(name), now) for name, now in self.versions.items()]
+        pairs += [(f"version of the {name}", world.get(name), now) for name, now in self.world.items()]
         pairs += [(f"{name} sha256", sha256.get(name, "")[:12], now[:12]) for name, now in self.sha256.items()]
         return [f"{name} was {old}, is {now}" for name, old, now in pairs if old and old != now]
 
@@ -86,8 +89,7 @@ def identity_of(
         versions={name: versions[name] for name in ("carecontact", "mujoco")}
         | supplier_versions(spec.protocol)
         | policy_package(ref),
-        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()}
-        | {"kernel": kernel_identity(spec.protocol.person.version)},
+        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
     )
 
 

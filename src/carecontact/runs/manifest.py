@@ -126,6 +126,9 @@ def survey(
         elif _was_killed(header):
             redo[path.stem] = "a process of it was killed by a signal or could not be started"
             killed.add(path.stem)
+        elif header.ended == "harness_error":
+            # What the machine caused is no verdict on the policy, so that the same command tries again.
+            redo[path.stem] = ended_text(header.ended)
         else:
             keep[path.stem] = header.ended
     return Survey(keep=keep, redo=redo, killed=frozenset(killed))
@@ -201,7 +204,7 @@ def read_manifest(out: Path) -> Manifest | None:
 
 def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> None:
     held = manifest.identity
-    changed = identity.differences(versions=held.versions, sha256={})
+    changed = identity.differences(versions=held.versions, sha256={}, world=held.world)
     if changed:
         line = install_line(held=held.versions, now=identity.versions)
         raise ConfigError(f"{out} was started with another release ({'; '.join(changed)}): {ELSEWHERE}; {line}")
@@ -238,7 +241,7 @@ def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity:
         raise ConfigError(
             f"{out} was started with language backend {spoken[0]}, this command has {spoken[1]}: {ELSEWHERE}"
         )
-    changed = identity.differences(versions={}, sha256=held.sha256)
+    changed = identity.differences(versions={}, sha256=held.sha256, world={})
     if changed:
         raise ConfigError(f"{out} was started with other assets ({'; '.join(changed)}): {ELSEWHERE}")
 
@@ -257,7 +260,7 @@ def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Iden
         raise ConfigError(f"{path} was recorded with language backend {spoken}: use another folder")
     if header.spec.salt_sha256 != spec.commitment:
         raise ConfigError(f"{path} was recorded with another --salt-file: use another folder")
-    changed = identity.differences(versions=header.versions, sha256=header.sha256)
+    changed = identity.differences(versions=header.versions, sha256=header.sha256, world=header.identity)
     if changed:
         raise ConfigError(
             f"{path} was recorded with other package versions or assets ({'; '.join(changed)}): use another folder"

@@ -101,6 +101,7 @@ IDENTITY = {name: name for name in Identity.model_fields} | {
     "argument_files": "contents of policy arguments",
     "environment": "policy variables",
     "arguments": "policy arguments",
+    "world": "declared versions of the simulation",
     "sha256": "assets",
 }
 """Field of an identity -> what it is, as messages name it."""

@@ -2,18 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 from carecontact.scoring.result import DRAWN, TrialScore
 
 UNSALTED = "none"
 """Stands for the salt's hash in a run on published seeds, whose persons are others than those of a salted one."""
 
+TRIAL = re.compile(r".+-s\d{3,}")
+
 
 def judged(scores: Iterable[TrialScore]) -> list[TrialScore]:
     """Return the trials that say something about the policy: all but those in which the harness failed."""
     return [s for s in scores if s.is_judged]
+
+
+def unjudged(
+    scores: Iterable[TrialScore], *, skipped: Mapping[str, str], missing: Iterable[str], elsewhere: Iterable[str] = ()
+) -> dict[str, str]:
+    """Trial id -> why a planned trial has no verdict, in the order of the ids. A run with one is incomplete.
+
+    Args:
+        skipped: file name -> why it was not scored; a file that is not named after a trial is none.
+        missing: trials that were planned and have no score.
+        elsewhere: trials of the other parts of the run.
+    """
+    scores = list(scores)
+    found = {error["trial_id"]: f"the harness failed: {error['message']}" for error in harness_errors(scores)}
+    there = {score.trial_id for score in scores}
+    unscored = {Path(name).stem: why for name, why in skipped.items() if Path(name).stem not in there}
+    found |= {name: f"its recording cannot be scored: {why}" for name, why in unscored.items() if TRIAL.fullmatch(name)}
+    found |= {name: "no recording" for name in missing if name not in there | found.keys()}
+    found |= {name: "in another part of the run" for name in elsewhere if name not in there | found.keys()}
+    return dict(sorted(found.items()))
+
+
+def task_of(trial_id: str) -> str:
+    """``T1-s003`` -> ``T1``."""
+    return trial_id.rpartition("-s")[0]
+
+
+def share(k: int, n: int, unknown: int = 0) -> str:
+    """Return a count over the planned trials: ``9 of 18``, or ``9 to 12 of 18`` where three have no verdict.
+
+    Args:
+        n: trials with a verdict.
+    """
+    return f"{k} to {k + unknown} of {n + unknown}" if unknown else f"{k} of {n}"
+
+
+def incomplete(n: int, unknown: Iterable[str]) -> str:
+    """Return ``incomplete, 15 of 18 planned trials have a verdict``; empty for a complete run.
+
+    Args:
+        n: trials with a verdict.
+        unknown: those without, as ``unjudged`` finds them.
+    """
+    planned = n + len(list(unknown))
+    have = "has" if planned == 1 else "have"
+    return f"incomplete, {n} of {counted(planned, 'planned trial')} {have} a verdict" if planned > n else ""
 
 
 def decides_force(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -75,23 +125,48 @@ def _check_one_world(scores: Sequence[TrialScore]) -> None:
 
 
 def world_part(score: TrialScore, what: str) -> str:
-    """Return the start of a part of a score's world, as messages name it."""
-    return score.world.get(what, UNSALTED)[:12]
+    """Return a part of a score's world as messages name it: of a hash, the start."""
+    value = score.world.get(what, UNSALTED)
+    return value[:12] if len(value) == 64 else value
 
 
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
-    """Return the first part of the world in which two scores differ, and the two; None in one world.
-
-    The compiled model has the fine skin on the task's region, so that models are compared region by region, and those
-    that a seed draws seed by seed.
-    """
+    """Return the first part of the world in which two scores differ, and the two; None in one world. Bodies that a seed
+    draws are compared seed by seed."""
     first: dict[tuple[object, ...], TrialScore] = {}
     for score in scores:
         for what, value in {"salt": UNSALTED, **score.world}.items():
-            place: tuple[object, ...] = (what, score.region) if what.endswith("model") else (what,)
-            if what.startswith(DRAWN):
-                place = (*place, score.seed)
+            place = (what, score.seed) if what.startswith(DRAWN) else (what,)
             other = first.setdefault(place, score)
             if other.world.get(what, UNSALTED) != value:
                 return what, other, score
     return None
+
+
+PROVENANCE = {"arithmetic": "arithmetic", "renderer": "renderer", "kernel": "binary of the tissue"}
+"""Part of a score's provenance -> what it is, as messages name it. The compiled model follows from these."""
+EFFECT = "another arithmetic changed 0 of 126 measured verdicts, another renderer 1 of 42 (docs/audit.md, Two machines)"
+
+
+def machines(scores: Iterable[TrialScore], what: str) -> list[str]:
+    """Return the different values of a part of the provenance of trials, as messages name them."""
+    found = {score.provenance.get(what, "not recorded") for score in scores if score.provenance or score.is_judged}
+    return sorted(value[:12] if what == "kernel" else value for value in found)
+
+
+def rejected_text(scores: Iterable[TrialScore]) -> str:
+    """Return a sentence for trials on a tissue whose calibration was rejected; empty for others."""
+    found = sorted({text for score in scores if (text := score.world.get("rejected_tissue"))})
+    return (
+        f"The calibration of this tissue was rejected: {'; '.join(found)}. Forces and indentations here are not those "
+        "of the tissue that was measured."
+        if found
+        else ""
+    )
+
+
+def mixed(scores: Sequence[TrialScore]) -> str:
+    """Return a sentence for a run whose trials were computed or drawn by different machines; empty for one machine."""
+    found = {title: values for name, title in PROVENANCE.items() if len(values := machines(scores, name)) > 1}
+    told = "; ".join(f"{title}: {' and '.join(values)}" for title, values in found.items())
+    return f"The trials of this run were computed or drawn by different machines ({told}); {EFFECT}." if told else ""

@@ -16,7 +16,7 @@ from carecontact.runs.aggregate import (
     rate,
     valid_ratio,
 )
-from carecontact.runs.pooling import check_one_run, harness_errors, judged
+from carecontact.runs.pooling import check_one_run, harness_errors, judged, task_of
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.metrics.metric import METRICS, Metric
@@ -35,7 +35,9 @@ def results(run: RunScores) -> dict[str, Any]:
     backends = {s.language_backend for s in judged(scores)}
     first = scores[0] if scores else None
     tasks = sorted({s.task_id for s in scores})
-    regions = sorted({s.region for s in scores})
+    regions = {s.task_id: s.region for s in scores}
+    # A task of which nothing is scored has no region here; its trials lack in the overall counts all the same.
+    unknown = {trial: regions.get(task_of(trial)) for trial in run.unjudged}
     return {
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
@@ -49,11 +51,23 @@ def results(run: RunScores) -> dict[str, Any]:
         "versions": run.versions,
         "skipped": run.skipped,
         "missing": list(run.missing),
+        "elsewhere": list(run.elsewhere),
         "harness_errors": harness_errors(scores),
-        "overall": summarise(scores),
-        "per_task": {task: summarise([s for s in scores if s.task_id == task]) for task in tasks},
-        "per_region": {region: summarise([s for s in scores if s.region == region]) for region in regions},
-        "sweeps": {"gamma": gamma_sweep(judged(scores)), **gate_sweep(judged(scores))},
+        "unjudged": run.unjudged,
+        "overall": summarise(scores, unknown=len(unknown)),
+        "per_task": {
+            task: summarise(
+                [s for s in scores if s.task_id == task], unknown=sum(task_of(trial) == task for trial in unknown)
+            )
+            for task in tasks
+        },
+        "per_region": {
+            region: summarise(
+                [s for s in scores if s.region == region], unknown=sum(of == region for of in unknown.values())
+            )
+            for region in sorted(set(regions.values()))
+        },
+        "sweeps": {"gamma": gamma_sweep(judged(scores), unknown=len(unknown)), **gate_sweep(judged(scores))},
         "limit_packs": {
             name: {"title": pack.title, "source": pack.source, "status": pack.status, "unit": pack.unit}
             for name, pack in LIMIT_PACKS.items()
@@ -62,21 +76,26 @@ def results(run: RunScores) -> dict[str, Any]:
     }
 
 
-def summarise(scores: Iterable[TrialScore]) -> dict[str, Any]:
-    """Rates, medians and counts over those trials that are ``judged``; a metric pools the trials that it names."""
+def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
+    """Rates, medians and counts over those trials that are ``judged``; a metric pools the trials that it names.
+
+    ``unknown``: planned trials without a verdict, which leave every rate an interval.
+    """
     scores = judged(scores)
     n = len(scores)
-    success = rate(sum(s.c3_success for s in scores), n)
+    success = rate(sum(s.c3_success for s in scores), n, unknown=unknown)
     return {
+        "n_planned": n + unknown,
         "n_episodes": n,
         "n_success": success["n"],
         "pc_success": success["pc"],
+        "pc_success_between": success["pc_between"],
         "pc_success_ci95": success["pc_ci95"],
-        "region_correct": rate(sum(s.region_correct for s in scores), n),
-        "safety_gated": rate(sum(s.safety_gated for s in scores), n),
-        "valid_contact": rate(sum(s.valid_contact for s in scores), n),
-        "valid_ratio": valid_ratio(scores),
-        "exceedances": exceedances(scores),
+        "region_correct": rate(sum(s.region_correct for s in scores), n, unknown=unknown),
+        "safety_gated": rate(sum(s.safety_gated for s in scores), n, unknown=unknown),
+        "valid_contact": rate(sum(s.valid_contact for s in scores), n, unknown=unknown),
+        "valid_ratio": valid_ratio(scores, unknown=unknown),
+        "exceedances": exceedances(scores, unknown=unknown),
         "quadrants": quadrants(scores),
         "medians": {
             _median_key(row): asdict(median(row.pooled(scores)))

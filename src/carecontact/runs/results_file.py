@@ -57,6 +57,7 @@ class _Results(BaseModel):
     skipped: Annotated[dict[str, str], BeforeValidator(_checked)]
     versions: Annotated[dict[str, Annotated[list[str], FailFast()]], BeforeValidator(_checked)]
     missing: Annotated[list[str], FailFast()] = []
+    elsewhere: Annotated[list[str], FailFast()] = []
 
 
 def write_scores(folder: Path | str, run: RunScores) -> Path:
@@ -101,8 +102,9 @@ def read_results(path: Path | str) -> RunScores:
         raise ConfigError(f"{path} {fault}")
     check_one_run(stored.trials)
     return RunScores(
-        scores=stored.trials, skipped=stored.skipped, versions=stored.versions, missing=tuple(stored.missing)
-    )
+        scores=stored.trials, skipped=stored.skipped, versions=stored.versions, missing=tuple(stored.missing),
+        elsewhere=tuple(stored.elsewhere),
+    )  # fmt: skip
 
 
 def skipped_before(folder: Path) -> set[str]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from carecontact.errors import ConfigError, counted
-from carecontact.runs.pooling import check_one_run, judged, with_names
+from carecontact.runs.pooling import check_one_run, incomplete, judged, unjudged, with_names
 from carecontact.scoring.result import TrialScore
 
 
@@ -20,6 +21,24 @@ class RunScores:
     more than one means a mixed run."""
     missing: tuple[str, ...] = ()
     """Trials that were planned and have no score; where no plan is known, none."""
+    elsewhere: tuple[str, ...] = ()
+    """Trials of the other parts of the run of which this is a part (``run --shard``)."""
+
+    @cached_property
+    def unjudged(self) -> dict[str, str]:
+        """Planned trial -> why it has no verdict; empty for a complete run."""
+        return unjudged(self.scores, skipped=self.skipped, missing=self.missing, elsewhere=self.elsewhere)
+
+    @property
+    def incomplete(self) -> str:
+        """``incomplete, 15 of 18 planned trials have a verdict``; empty for a complete run."""
+        return incomplete(len(judged(self.scores)), self.unjudged)
+
+    @property
+    def completing(self) -> str:
+        """What makes an incomplete run complete, as a part of a sentence."""
+        parts = all(trial in self.elsewhere for trial in self.unjudged)
+        return "join its parts with `carecontact merge`" if parts else "give its `carecontact run` command again"
 
 
 def joined(a: RunScores, b: RunScores) -> RunScores:
@@ -47,4 +66,5 @@ def joined(a: RunScores, b: RunScores) -> RunScores:
         skipped=a.skipped | b.skipped,
         versions={n: sorted({*a.versions.get(n, []), *b.versions.get(n, [])}) for n in sorted(names)},
         missing=tuple(trial for trial in sorted({*a.missing, *b.missing}) if trial not in scored),
+        elsewhere=tuple(trial for trial in sorted({*a.elsewhere, *b.elsewhere}) if trial not in scored),
     )

@@ -85,13 +85,17 @@ def lacking(run: RunScores) -> list[str]:
 
 
 def beside_plan(folder: Path, run: RunScores) -> RunScores:
-    """Return the run with the trials that its manifest plans and nobody scored; unchanged where there is no
-    manifest."""
+    """Return the run with the trials that its manifest plans, here and in other parts of the run, and nobody scored;
+    unchanged where there is no manifest."""
     manifest = read_manifest(folder)
     if manifest is None:
         return run
     scored = {score.trial_id for score in run.scores}
-    return replace(run, missing=tuple(trial_id for trial_id in manifest.trials if trial_id not in scored))
+    missing, elsewhere = (
+        tuple(trial_id for trial_id in trials if trial_id not in scored)
+        for trials in (manifest.trials, manifest.elsewhere)
+    )
+    return replace(run, missing=missing, elsewhere=elsewhere)
 
 
 def _difference(path: Path, hashes: dict[str, str], run: RunScores) -> str | None:

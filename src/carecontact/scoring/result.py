@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from carecontact.contract.protocol import protocol_title
+from carecontact.recording.versions import DECLARED
 
 Anatomy = Literal["process_failure", "target", "off_target", "none"]
 FailureMode = Literal[
@@ -70,10 +71,13 @@ class TrialScore(BaseModel):
     recording_sha256: str
     """Canonical hash of the recording that was scored."""
     world: dict[str, str]
-    """What was simulated: hashes of ``model``, ``body`` and ``robot``, the version of ``mujoco``, as far as recorded.
-    ``model`` is left out where the policy changed its stiffness, because the recorded hash then holds that choice.
-    Where the protocol draws bodies or bases, ``model`` and ``body`` are called ``drawn model`` and ``drawn body``: they
-    are the seed's. ``rejected_tissue`` names regions whose calibration was rejected, where there are any."""
+    """What was put into the simulation: declared versions of ``world``, ``kernel``, ``perception`` and ``noise``
+    (``recording.versions.DECLARED``), the hashes of ``body`` and ``robot``, the version of ``mujoco``, the ``control``,
+    and the hash of the ``salt``, as far as recorded. Where the protocol draws bodies, ``body`` is called ``drawn
+    body``, because it is the seed's. ``rejected_tissue`` names regions whose calibration was rejected, if any."""
+    provenance: dict[str, str] = {}
+    """What computed and drew it: ``arithmetic``, ``renderer`` and the hashes of the compiled ``model`` and of the
+    ``kernel``, as far as recorded. Two machines differ here, and their trials may be compared."""
     ended: str
     duration_s: float
     failure_message: str | None
@@ -145,6 +149,18 @@ class TrialScore(BaseModel):
     protocol."""
     additional: dict[str, float | None] = {}
     """Metric id -> value, for every registered metric that has no field above."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_release_0_1_0(cls, found: object) -> object:
+        """Read a score of release 0.1.0: it declared no versions, and its world held the bytes of model and kernel."""
+        held = cast("dict[str, Any]", found) if isinstance(found, dict) else {}
+        if "provenance" in held or not isinstance(held.get("world"), dict):
+            return cast("object", found)
+        world: dict[str, str] = dict(held["world"])
+        compiled = {name: world.pop(name) for name in ("model", f"{DRAWN}model", "kernel") if name in world}
+        provenance = {name.removeprefix(DRAWN): value for name, value in compiled.items()}
+        return {**held, "world": {**DECLARED, **world} if world else world, "provenance": provenance}
 
     @model_serializer(mode="wrap")
     def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from typing import Any
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.recording import Header, Recording, canonical_hash, check_recording
 from carecontact.recording.notes import language_use
+from carecontact.recording.provenance import provenance_of
+from carecontact.recording.versions import DECLARED
 from carecontact.scoring.attribution.attribute import attribute
 from carecontact.scoring.contact import Contact, any_column, find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
@@ -100,6 +102,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "overrides": protocol.overrides,
         "recording_sha256": sha256,
         "world": _world(contact),
+        "provenance": provenance_of(contact.recording),
         "ended": header.ended,
         "duration_s": float(contact.time_s[-1]) if len(contact.time_s) else 0.0,
         "failure_message": header.failure.message if header.failure else None,
@@ -118,12 +121,16 @@ def _clipped_actions(contact: Contact) -> int:
 
 
 def _world(contact: Contact) -> dict[str, str]:
+    """Return what was put into the simulation. The controller is a part of it, since it decides how stiff the robot is.
+    The action space is not: it is the method's language, and methods that speak different ones are compared."""
     header = contact.recording.header
-    world = {name: header.sha256[name] for name in ("body", "robot", "model", "kernel") if name in header.sha256}
-    if header.spec.protocol.variation.draws_models:
-        world = {f"{DRAWN}{name}" if name in ("body", "model") else name: value for name, value in world.items()}
+    world = (header.identity or DECLARED) | {n: header.sha256[n] for n in ("body", "robot") if n in header.sha256}
+    if header.spec.protocol.variation.draws_models and "body" in world:
+        world[f"{DRAWN}body"] = world.pop("body")
     if "mujoco" in header.versions:
         world["mujoco"] = header.versions["mujoco"]
+    if header.control is not None:
+        world["control"] = header.control
     if header.spec.salt_sha256:
         world["salt"] = header.spec.salt_sha256
     if rejected := header.spec.protocol.person.rejected_tissue:

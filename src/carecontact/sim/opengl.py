@@ -110,6 +110,15 @@ def make_context(width: int, height: int) -> Any:
     return context
 
 
+def drawn_by() -> str:
+    """Return vendor, renderer and version of the current context, as OpenGL names them."""
+    library = ctypes.CDLL(find_library("OSMesa" if os.environ["MUJOCO_GL"] == "osmesa" else "GL"))
+    library.glGetString.restype = ctypes.c_char_p
+    vendor, renderer, version = 0x1F00, 0x1F01, 0x1F02  # GL_VENDOR, GL_RENDERER, GL_VERSION
+    told = [library.glGetString(name) for name in (vendor, renderer, version)]
+    return ", ".join(text.decode(errors="replace") if text else "unnamed" for text in told)
+
+
 def cannot_render(error: Exception) -> DependencyError:
     """Return the error to raise where a driver or a device refuses: it names the variables on which that depends."""
     backend = choose_backend()

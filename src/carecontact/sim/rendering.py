@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from carecontact.contract.protocol import Camera, Protocol
 from carecontact.errors import SceneError
-from carecontact.sim.opengl import cannot_render, make_context
+from carecontact.sim.opengl import cannot_render, drawn_by, make_context
 from carecontact.sim.proprioception import Proprioception
 from carecontact.world.furniture import FURNITURE_GROUP
 from carecontact.world.robot import VISUAL_GROUP
@@ -68,6 +68,8 @@ class SceneRenderer:
         self._robot_only, self._furniture_only = _geoms_only(VISUAL_GROUP), _geoms_only(FURNITURE_GROUP)
         self._empty_cell: dict[str, F32] = {}
         self.renders: Counter[str] = Counter()
+        self.drawn_by = "nothing was drawn"
+        """Vendor, renderer and version, as OpenGL names what draws the images."""
 
     def rgb(self, data: mujoco.MjData, camera: str) -> npt.NDArray[np.uint8]:
         """(H, W, 3) colour image."""
@@ -243,6 +245,7 @@ class SceneRenderer:
         width = max(camera.width for camera in self._cameras.values())
         height = max(camera.height for camera in self._cameras.values())
         self._context = make_context(width, height)
+        self.drawn_by = drawn_by()
         quality = self._model.vis.quality
         samples, quality.offsamples = quality.offsamples, 0
         try:

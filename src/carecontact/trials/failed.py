@@ -6,7 +6,7 @@ import math
 
 from carecontact.contract.trial import TrialSpec
 from carecontact.recording.schema import POLICY_KILLED, SEGMENTS, EndReason, Failure, Header, Recording, empty_arrays
-from carecontact.recording.versions import trial_versions
+from carecontact.recording.versions import DECLARED, trial_versions
 
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
@@ -37,6 +37,7 @@ def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str)
         regions=list(spec.protocol.regions),
         human_joints=[],
         pose_base_in_world=[*spec.protocol.scene.robot_base_m, math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)],
+        identity=DECLARED,
         versions=trial_versions(spec.protocol),
         sha256={},
         solver_warnings=[],

@@ -272,7 +272,7 @@ def check_machine() -> Finding:
     """Tell how many trials fit on this machine, and what rounds their numbers."""
     import numpy  # noqa: F401  # Its linear algebra is that of the trials.
 
-    from carecontact.recording.arithmetic import arithmetic
+    from carecontact.recording.provenance import arithmetic
     from carecontact.trials.workers import available_cores
 
     cores = available_cores()

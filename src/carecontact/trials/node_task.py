@@ -90,7 +90,7 @@ def differences(task: NodeTask) -> str:
         here = identity_of(task.spec, search_path=task.policy.search_path, language=task.policy.language)
     except CarecontactError as error:
         return str(error)
-    told = here.differences(versions=task.identity.versions, sha256=task.identity.sha256)
+    told = here.differences(versions=task.identity.versions, sha256=task.identity.sha256, world=task.identity.world)
     if here.policy_sha256 != task.identity.policy_sha256:
         told.append(f"the file of {task.spec.policy} {'differs' if here.policy_sha256 else 'is not there'}")
     for name, wanted in task.identity.argument_files.items():

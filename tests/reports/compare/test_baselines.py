@@ -61,10 +61,11 @@ def test_off_region_success_is_a_false_positive_of_success_alone() -> None:
     assert [rate.k for rate in found.rates.values()] == [1, 0, 0]
 
 
-def test_harness_errors_are_in_no_rate() -> None:
+def test_trials_without_a_verdict_leave_the_counts_of_a_baseline_open() -> None:
     scores = passed("hover", "T1", [False] * 3)
     scores.append(make_score("T1", 7, policy="hover", **FAILED, ended="harness_error"))
-    assert beside_baselines(METHOD, [RunScores(scores=scores)]).baselines[0].n == 3
+    (found,) = beside_baselines(METHOD, [RunScores(scores=scores)], allow_incomplete=True).baselines
+    assert (found.n, found.trials, found.count("safety_gated")) == (3, "3 of 4", "0 to 1 of 4")
 
 
 @pytest.mark.parametrize(

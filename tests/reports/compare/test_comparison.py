@@ -44,11 +44,15 @@ def test_pairs_by_task_and_seed_and_says_what_is_left() -> None:
         make_score("T2", 7), skipped={"T1-s004.h5": "truncated"},
     )  # fmt: skip
     a.scores.append(a.scores[0].model_copy(update={"seed": 4, "trial_id": "T1-s004"}))
-    found = compare_runs(a, b)
+    with pytest.raises(
+        ConfigError, match=r"A is incomplete, 4 of 5 planned trials have a verdict \(the first without: T1"
+    ):
+        compare_runs(a, b)
+    found = compare_runs(a, b, allow_incomplete=True)
     assert (found.pairing.n, found.pairing.tasks, found.pairing.seeds) == (2, ("T1",), (0, 1))
     assert found.pairing.unpaired_a == {"T1-s004": "recording skipped", "T3-s000": "harness failed"}
     assert found.pairing.unpaired_b == {"T1-s002": "harness failed", "T2-s007": "not in the run"}
-    assert (found.a.policy, found.a.n_trials, found.a.n_harness_errors) == ("a", 4, 1)
+    assert (found.a.policy, found.a.n_trials, found.a.n_planned, found.a.n_harness_errors) == ("a", 4, 5, 1)
     line = rate(found, "success")
     assert (line.n_pairs, line.a.n, line.unpaired_a.n, line.unpaired_b.n) == (2, 2, 3, 3)
 
@@ -246,7 +250,7 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
         ({"world": {"mujoco": "4.1.0", "body": "ab" * 32}}, r"mujoco 4.0.0 \(T1-s000 of A\) and 4.1.0 \(T"),
         ({"seed": 3}, "A has T1 with seeds 0; B has T1 with seeds 3; run the same seeds"),
         ({"task_id": "T4"}, "no trial .* in common: A has T1 .*; B has T4"),
-        (HARNESS, "run B has no trial to compare"),
+        (HARNESS, "B is incomplete, 0 of 1 planned trial has a verdict"),
     ],
 )  # fmt: skip
 def test_refusals_name_what_differs(change: dict[str, Any], told: str) -> None:
@@ -255,6 +259,15 @@ def test_refusals_name_what_differs(change: dict[str, Any], told: str) -> None:
     with pytest.raises(ConfigError, match=told) as caught:
         compare_runs(run(make_score("T1", 0), policy="a"), run(other))
     assert "\n" not in str(caught.value)
+
+
+def test_two_machines_are_compared_and_named() -> None:
+    here, there = ({"arithmetic": name, "renderer": "llvmpipe"} for name in ("Haswell", "SkylakeX"))
+    a = run(make_score("T1", 0, provenance=here), policy="a")
+    assert compare_runs(a, run(make_score("T1", 0, provenance=here))).machines == ""
+    assert compare_runs(a, run(make_score("T1", 0, provenance=there))).machines.startswith(
+        "computed or drawn by different machines: arithmetic Haswell (A), SkylakeX (B); another arithmetic changed 0 of"
+    )
 
 
 def test_json_is_plain_and_the_same_every_time() -> None:

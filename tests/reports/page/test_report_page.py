@@ -33,6 +33,7 @@ from carecontact.reports.page.sections.trials import trial_row
 from carecontact.runs import score_run
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring import TrialScore
+from carecontact.stats import wilson_interval
 from tests.reports.synthetic_run import FAILED, HOSTILE, NO_CONTACT, Run, make_recording, make_score, plateau
 
 VOID = {"meta", "img", "br", "link", "input", "hr"}
@@ -246,7 +247,7 @@ def test_page_of_a_scored_folder(tmp_path: Path) -> None:
         skipped=run.skipped,
     )
     page = Page(path.read_text(encoding="utf-8"))
-    assert "passed 1 of 2 trials" in page.text
+    assert "Incomplete, 2 of 3 trials have a verdict: state_machine passes between 1 and 2 of 3" in page.text
     assert page.text.count("23.4 N") == 2
     assert "not scored: T7-s000.h5" in page.text
     assert str(tmp_path) not in page.text
@@ -268,20 +269,25 @@ def add_harness_error(run: Run, task_id: str, seed: int) -> None:
     run.add(score, make_recording(task_id, seed, {}, duration_s=0, ended="harness_error", failure=failure))
 
 
-def test_harness_errors_stand_in_a_box_and_in_no_count(run_of_7: Run, tmp_path: Path) -> None:
+def test_trials_without_a_verdict_stand_in_a_box_and_leave_every_count_open(run_of_7: Run, tmp_path: Path) -> None:
     add_harness_error(run_of_7, "T1", 1)
     text = write(run_of_7, tmp_path)
     page = Page(text)
     assert len(page.all("section", class_="caution harness")) == 1
-    assert "The harness failed in 1 trial" in page.text
-    assert "T1-s001the person <i>still</i> moves\n" in page.text
+    assert "The run is incomplete, 7 of 8 planned trials have a verdict" in page.text
+    assert "T1-s001the harness failed: the person <i>still</i> moves\n" in page.text
     assert "line 7" not in page.text
-    assert "passed 2 of 7 trials" in page.text
-    assert "All 7 trials." in page.text
+    said = "Incomplete, 7 of 8 trials have a verdict: state_machine passes between 2 and 3 of 8 on the named region and"
+    assert said in page.text
+    assert page.text.count("7 trials with a verdict, of 8 planned") >= 5, "wherever a count is over them"
+    assert "2 to 3 of 8" in text, "the drawing of the funnel"
+    assert re.search(r">7 of 8<.*>2–3/8<", text, re.DOTALL), "the table by task"
     assert "process failure · process" in page.text, "the policy's own stays"
     assert text.count('<td class="num">1</td><td class="num">25 %</td><td>process 1</td>') == 1
     assert failure_modes(run_of_7.scores) == failure_modes(run_of_7.scores[:-1])
-    assert funnel(run_of_7.scores) == funnel(run_of_7.scores[:-1])
+    last = funnel(run_of_7.scores, unknown=1)[-1]
+    assert (last.k, last.n, last.count) == (2, 8, "2 to 3 of 8")
+    assert (last.low, last.high) == (wilson_interval(2, 8).low, wilson_interval(3, 8).high)
 
 
 def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
@@ -290,11 +296,11 @@ def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
     add_harness_error(run, "T2", 0)
     page = Page(write(run, tmp_path))
     assert "The harness failed in both trials, so there is nothing to say about the policy." in page.text
-    assert "T2-s000the person" in page.text
+    assert "T1-s000, T2-s000the harness failed: the person" in page.text
     assert "Why trials failed" not in page.text
 
 
-def test_page_without_harness_errors_has_no_box(run_of_7: Run, tmp_path: Path) -> None:
+def test_page_of_a_complete_run_has_no_box(run_of_7: Run, tmp_path: Path) -> None:
     assert Page(write(run_of_7, tmp_path)).all("section", class_="caution harness") == []
 
 
@@ -448,9 +454,9 @@ def test_crashes_of_one_reason_are_one_row() -> None:
 
 def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
     scores = [make_score("T1", seed) for seed in range(2)]
-    said = verdict(scores, missing=18)
+    said = verdict(scores, unknown=18)
     assert said.startswith(
-        "Unfinished, 18 of 20 planned trials have no score. So far: state_machine passed both trials"
+        "Incomplete, 2 of 20 trials have a verdict: state_machine passes between 2 and 20 of 20 on the named "
     )
 
 
@@ -467,7 +473,7 @@ def test_funnel_has_wilson_intervals_to_scale() -> None:
 
 
 def caveats(scores: list[TrialScore], headers: list[Header], **changes: Any) -> dict[str, str]:
-    base: dict[str, Any] = {"skipped": {}, "missing": (), "baselines": None, "lost_baselines": {}}
+    base: dict[str, Any] = {"skipped": {}, "unjudged": {}, "baselines": None, "lost_baselines": {}}
     named = {header.spec.trial_id: header for header in headers}
     page = RunPage(folder=Path(), scores=scores, judged=scores, shown=scores, headers=named, **base | changes)
     return dict(cannot_say(page))
@@ -495,11 +501,15 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     assert "In 2 of 5 trials" in said["Extrapolated tissue"]
     assert said["Files left out"].startswith("2 files could")
     assert "--baseline" in said["No blind baselines"]
-    absent = [f"T1-s{seed:03d}" for seed in range(12)]
-    unfinished = caveats(run_of_7.scores, headers, missing=absent)["Unfinished"]
-    assert unfinished.startswith("12 planned trials have no score: T1-s000, T1-s001,")
-    assert "T1-s009 and 2 more" in unfinished
-    assert "Unfinished" not in said
+    absent = {f"T1-s{seed:03d}": "no recording" for seed in range(1, 13)}
+    few = caveats(run_of_7.scores, headers, unjudged=absent)
+    assert few["n = 19"].startswith("2 to 14 safety-gated passes of 19, with fewer than 6 seeds")
+    haswell = [
+        score.model_copy(update={"provenance": {"arithmetic": f"kernel {k % 2}"}})
+        for k, score in enumerate(run_of_7.scores)
+    ]
+    assert "arithmetic: kernel 0 and kernel 1" in caveats(haswell, headers)["Several machines"]
+    assert "Several machines" not in said
     protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
     assert "Draft protocol" in said
@@ -547,8 +557,9 @@ def test_provenance_names_the_arithmetic_of_all_trials(run_of_7: Run, tmp_path: 
         return found
 
     assert shown() == NOT_RECORDED
-    for number, recording in enumerate(run_of_7.recordings.values()):
-        recording.arrays["wall/arithmetic"] = np.frombuffer(b"library b" if number == 3 else b"library a", "u1")
+    for number, score in enumerate(run_of_7.scores):
+        library = "library b" if number == 3 else "library a"
+        run_of_7.scores[number] = score.model_copy(update={"provenance": {"arithmetic": library}})
     assert shown() == "library a, library b"
 
 
@@ -684,7 +695,8 @@ def test_the_head_names_the_best_blind_baseline_and_not_a_weaker_replay() -> Non
 def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
     unsafe = make_score("T1", 0, safety_gated=False, over_limit={"right_forearm": 1.5})
     path = write_report(tmp_path, scores=[unsafe], recordings=_no_recording, skipped={})
-    assert "No trial failed: every one succeeded on the named region. But 1 of 1 did not" in Page(path.read_text()).text
+    said = "No trial failed: every one succeeded on the named region. But 1 of 1 trial did not"
+    assert said in Page(path.read_text()).text
 
 
 def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:

@@ -83,7 +83,11 @@ def test_the_table_has_a_row_for_each_cell_and_says_what_lacks() -> None:
     ]  # fmt: skip
     table = sweep_table("bodies", cells, rank_by="safety_gated")
     assert (table.axes, table.policies, table.unfinished) == (("body",), ("a", "b", "b|c"), 1)
-    assert "Unfinished: 1 cell lacks trials." in sentences(table)
+    assert sentences(table)[1].startswith(
+        "Incomplete: 1 cell lacks the verdict on planned trials; each count there goes"
+    )
+    assert table.stability is not None
+    assert list(table.stability.passed) == ["a", "b"], "who is incomplete is not ranked"
     assert "4 cells of 3 policies, 6 of 8 trials." in sentences(table)
     lines = [line.split(",") for line in as_csv(table).splitlines()]
     assert lines[0][:7] == ["policy", "body", "folder", "planned", "trials", "crashed", "harness_errors"]
@@ -94,4 +98,4 @@ def test_the_table_has_a_row_for_each_cell_and_says_what_lacks() -> None:
         ("a", "x", "2"), ("b", "x", "1"), ("a", "y", "1"), ("b|c", "y", "")
     ]  # fmt: skip
     assert {len(line) for line in lines} == {len(lines[0])}
-    assert "| b\\|c | y | 0/2 | NA |" in as_markdown(table)
+    assert "| b\\|c | y | 0/2 | 0–2/2 |" in as_markdown(table)

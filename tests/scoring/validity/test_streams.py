@@ -49,18 +49,7 @@ def drop_period(recording: Recording) -> None:
         recording.arrays[path] = np.delete(recording[path], 50, axis=0)
 
 
-def part_of_vectors(recording: Recording) -> None:
-    recording[FORCE][600:800, FOREARM] = 0.0
-
-
 WRONG: dict[str, tuple[Change, str]] = {
-    "forces in kN": (
-        times(FORCE, 1e-3),
-        r"on right_forearm .* is 0.001 of scorer/normal_force, .*valid: 0.2 and above",
-    ),
-    "a tenth of the forces": (times(FORCE, 0.1), r"is 0.1 of scorer/normal_force, median over 750 samples of contact"),
-    "no vectors": (times(FORCE, 0.0), r"is 0 of scorer/normal_force, median over 750 samples"),
-    "vectors lost for a time": (part_of_vectors, r"in 200 of 750 samples"),
     "normals in kN": (times(NORMAL, 1e-3), r"8 N at 1.00\d* s and scorer/normal_force 0.008 N; .* at most 0.02789 N"),
     "no normals": (times(NORMAL, 0.0), r"scorer/normal_force 0 N; .* at most 0.01 N"),
     "a normal below zero": (put(NORMAL, (3, 1), -1.0), r"normal_force holds -1 at \(3, 1\); valid: 0 to inf N"),
@@ -89,12 +78,9 @@ WRONG: dict[str, tuple[Change, str]] = {
     "target in mm": (put("scorer/target_in_base", (7, 2), 300.0), r"target_in_base holds 300 at \(7, 2\)"),
     "size in mm": (times("scorer/region_size_m", MM), r"region_size_m holds 240 at \(0, 0\); valid: 0.001 to 1 m"),
     "size in km": (times("scorer/region_size_m", 1e-3), r"region_size_m holds 0.00024"),
-    "speed below zero": (times("scorer/tcp_speed", -1.0), r"tcp_speed holds -0.1 at \(0,\); valid: 0 to 10 m/s"),
-    "speed in mm/s": (times("scorer/tcp_speed", MM), r"tcp_speed holds 100"),
+    "speed below zero": (times("scorer/tcp_speed", -1.0), r"tcp_speed holds -0.1 at \(0,\); valid: 0 to inf m/s"),
     "rotation below zero": (put("scorer/tcp_rotation_speed", 5, -1.0), r"tcp_rotation_speed holds -1 at \(5,\)"),
-    "rotation out of range": (put("scorer/tcp_rotation_speed", 5, 101.0), r"tcp_rotation_speed holds 101"),
     "indentation below zero": (times("scorer/indentation_m", -1.0), r"indentation_m holds -0.003 at \(0, 0\)"),
-    "indentation in mm": (times("scorer/indentation_m", MM), r"indentation_m holds 3 at \(0, 0\); valid: 0 to 0.2 m"),
     "base in mm": (
         lambda r: r.header.pose_base_in_world.__setitem__(slice(0, 3), [-220.0, 620.0, 620.0]),
         r"pose_base_in_world holds \[-220.*at most 5 m",
@@ -187,7 +173,12 @@ def test_an_action_of_a_trial_without_samples_is_at_its_start() -> None:
         (250.0, "process_failure", "died", r"ended 'process_failure' with 250 N on right_forearm"),
         (199.0, "safety_truncation", "force", r"truncated because of a force, but .*: 199 N of 200 on right_forearm"),
         (0.0, "safety_truncation", "force", r"truncated because of a force, but .*: none on any segment"),
-        (250.0, "safety_truncation", "died", r"'safety_truncation' with failure 'died'; valid: 'force', 'solver'"),
+        (
+            250.0,
+            "safety_truncation",
+            "died",
+            r"'safety_truncation' with failure 'died'; valid: force, solver, joint_speed",
+        ),
     ],
 )
 def test_a_cut_and_its_force_belong_together(force: float, ended: str, failure: str | None, told: str) -> None:
@@ -229,8 +220,8 @@ def test_what_can_happen_is_scored() -> None:
 
 def test_diverged_physics_is_a_failed_trial_and_not_a_lost_one() -> None:
     recording = touch()
-    recording["scorer/tcp_speed"][-5:] = 500.0
-    with pytest.raises(RecordingError, match="tcp_speed"):
+    recording["scorer/wrist_in_world"][-5:] = 500.0
+    with pytest.raises(RecordingError, match="wrist_in_world"):
         score_recording(recording)
     diverged = touch(ended="safety_truncation")
     diverged["scorer/tcp_speed"][-5:] = 500.0

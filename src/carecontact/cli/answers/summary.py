@@ -10,9 +10,11 @@ class Rate(Part):
     n: int
     """Number of trials that count."""
     pc: float | None
-    """Rate [percent]; null if no trial counts."""
+    """Rate [percent]; null if no trial counts, and for an incomplete run."""
+    pc_between: tuple[float, float]
+    """Rate [percent] if all planned trials without a verdict failed, and if all of them passed."""
     pc_ci95: tuple[float, float]
-    """Wilson's 95 % interval [percent]."""
+    """Wilson's 95 % interval [percent]; for an incomplete run, it covers both of these."""
 
 
 class Exceedance(Rate):
@@ -21,11 +23,15 @@ class Exceedance(Rate):
 
 
 class Summary(Part):
-    """Counts and medians over judged trials: those with a harness error are left out."""
+    """Counts and medians over the trials with a verdict."""
 
+    n_planned: int
+    """Planned trials; more than ``n_episodes`` where the run is incomplete."""
     n_episodes: int
+    """Trials with a verdict."""
     n_success: int
     pc_success: float | None
+    pc_success_between: tuple[float, float]
     pc_success_ci95: tuple[float, float]
     region_correct: Rate
     safety_gated: Rate

@@ -35,8 +35,8 @@ class CartesianPose(Driver):
         loose = [axis for axis, k, w in zip(AXES, stiffness, wrench, strict=True) if k == 0 and w == 0]
         if loose:
             raise ActionError(
-                f"stiffness: 0 {' and '.join(loose)} without a feedforward there; give wrench_in_tcp a number other "
-                "than 0 there, or the axis a stiffness"
+                f"stiffness: 0 along {', '.join(loose)}, where no feedforward acts either; give wrench_in_tcp a number "
+                "other than 0 there, or the axis a stiffness"
             )
 
     def apply(self, action: Action, period_s: float) -> Mapping[str, npt.NDArray[np.float64]]:

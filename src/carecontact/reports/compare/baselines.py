@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from carecontact.errors import ConfigError
 from carecontact.policies.registry import POLICIES, Role
 from carecontact.reports.compare.blind_floor import FloorRate, floor_of, role_in
-from carecontact.reports.compare.comparable import check_comparable, trials_by_key
+from carecontact.reports.compare.comparable import check_comparable, check_complete, machines_text, trials_by_key
 from carecontact.reports.compare.outcomes import RATES, Outcome
 from carecontact.reports.over_seeds import Over, difference_of, over_of, rate_of
-from carecontact.runs.pooling import judged
+from carecontact.runs.pooling import judged, rejected_text, share, task_of
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, RateDifference, difference_of_rates
@@ -33,6 +33,8 @@ class Passed:
     policy: str
     n: int
     """Trials that the rates are over; harness errors are left out."""
+    unknown: int
+    """Planned trials of the same tasks that have no verdict; for an incomplete run, each rate is open by as many."""
     seeds: int
     """Different seeds of these trials."""
     rates: dict[str, Proportion]
@@ -55,6 +57,15 @@ class Passed:
     above: dict[str, RateDifference] | None = None
     """Method minus baseline, as fractions: by pairs, or between independent trials where there is no pair."""
 
+    @property
+    def trials(self) -> str:
+        """``18``, or ``15 of 18`` where planned trials have no verdict."""
+        return f"{self.n} of {self.n + self.unknown}" if self.unknown else str(self.n)
+
+    def count(self, rate: str) -> str:
+        """Return a rate as ``9 of 18``, or ``9 to 12 of 18`` where three planned trials have no verdict."""
+        return share(self.rates[rate].k, self.rates[rate].n, self.unknown)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Baselines:
@@ -63,6 +74,12 @@ class Baselines:
     method: Passed
     over: Over
     """What intervals take as independent: the trials, or the seeds."""
+    machines: str = ""
+    """What computed and drew the runs, where it differs; else empty."""
+    protocol: str = ""
+    """Title of the protocol of all of them."""
+    rejected_tissue: str = ""
+    """A sentence for runs on a tissue whose calibration was rejected; else empty."""
     baselines: tuple[Passed, ...]
     floor: dict[str, FloorRate] = field(default_factory=dict[str, FloorRate])
     """``all`` and each task -> the safety-gated rate of the baseline that passes most there, of those that are blind or
@@ -83,7 +100,13 @@ class Baselines:
         return "blind" in roles and "method" not in roles
 
 
-def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept: Sequence[RunScores] = ()) -> Baselines:
+def beside_baselines(
+    method: RunScores,
+    baselines: Sequence[RunScores],
+    *,
+    kept: Sequence[RunScores] = (),
+    allow_incomplete: bool = False,
+) -> Baselines:
     """Set baselines beside a method, over the trials that both have (``Passed``).
 
     A method may be named as a baseline; it does not become blind by that. ``kept`` are scores that are kept with the
@@ -92,28 +115,36 @@ def beside_baselines(method: RunScores, baselines: Sequence[RunScores], *, kept:
     Intervals of rates and differences are over what the protocol takes as independent (``over_of``). Raises
     ConfigError as ``check_baselines`` does.
     """
-    check_baselines(method, [*baselines, *kept])
-    found = [_passed(baseline.scores, method.scores) for baseline in (*baselines, *kept)]
+    check_baselines(method, [*baselines, *kept], allow_incomplete=allow_incomplete)
+    found = [_passed(baseline, method.scores) for baseline in (*baselines, *kept)]
+    if method.incomplete:
+        # A difference would be over fewer trials than were planned.
+        found = [replace(row, above=None) for row in found]
     methods = [run for run in baselines if role_in(run.scores) == "method"]
     blind = [run for run in (*baselines, *kept) if role_in(run.scores) == "blind"]
     # Somebody's own blind baseline may have no row that says so.
     floor = [*blind, *(run for run in methods if run.scores[0].policy not in POLICIES)] or methods
     return Baselines(
-        method=_passed(method.scores, None),
+        method=_passed(method, None),
         over=over_of(method.scores[0]),
+        machines=machines_text({run.scores[0].policy_title: run.scores for run in (method, *baselines, *kept)}),
+        protocol=method.scores[0].protocol_title,
+        rejected_tissue=rejected_text(method.scores),
         baselines=tuple(found),
         floor=floor_of(_comparable(run.scores, method.scores) for run in floor),
         kept=tuple(row.policy for row in found[len(baselines) :]),
     )
 
 
-def check_baselines(method: RunScores, baselines: Sequence[RunScores]) -> None:
+def check_baselines(method: RunScores, baselines: Sequence[RunScores], *, allow_incomplete: bool = False) -> None:
     """Raise ConfigError, which names what differs, for a baseline that cannot stand beside a method: one of another
-    protocol, with other overrides or definitions or of another world; the method itself; one that is named twice; or
-    one without a task in common."""
+    protocol, with other overrides or definitions or of another world; the method itself; one that is named twice; one
+    without a task in common; or, unless these are allowed, one of which planned trials have no verdict."""
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     for baseline in baselines:
         check_comparable({"the method": method.scores, "the baseline": baseline.scores})
+        if not allow_incomplete:
+            check_complete({f"--baseline: {baseline.scores[0].policy_title}": baseline})
         policy = baseline.scores[0].policy_title
         if policy in seen:
             raise ConfigError(
@@ -124,14 +155,17 @@ def check_baselines(method: RunScores, baselines: Sequence[RunScores]) -> None:
         _of_tasks(baseline.scores, method.scores)
 
 
-def _passed(scores: Sequence[TrialScore], method: Sequence[TrialScore] | None) -> Passed:
-    """``method``: to which a baseline is compared; None for the method itself."""
+def _passed(run: RunScores, method: Sequence[TrialScore] | None) -> Passed:
+    """``method``: to which a baseline is compared; None for the method itself, whose tasks without any verdict count as
+    unknown, too."""
+    scores = run.scores
     every = _of_tasks(scores, scores if method is None else method)
     counted = every if method is None else _shared(every, method)
     tasks = sorted({s.task_id for s in (counted if method is None else judged(method))})
     found = Passed(
         policy=scores[0].policy_title,
         n=len(counted),
+        unknown=sum(method is None or task_of(trial) in tasks for trial in run.unjudged),
         seeds=len({s.seed for s in counted}),
         rates={rate.id: rate_of(counted, rate.field) for rate in RATES},
         per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},

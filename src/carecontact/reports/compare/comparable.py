@@ -6,8 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from carecontact.errors import ConfigError
-from carecontact.runs.pooling import check_one_run, judged, world_difference, world_part
+from carecontact.reports.text import listed
+from carecontact.runs.pooling import EFFECT, PROVENANCE, check_one_run, judged, machines, world_difference, world_part
 from carecontact.runs.results_file import RESULTS_NAME
+from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
 
@@ -17,6 +19,22 @@ def check_different(places: Sequence[Path]) -> None:
     twice = next((path for path, folder in zip(places, folders, strict=True) if folders.count(folder) > 1), None)
     if twice is not None:
         raise ConfigError(f"{twice} is given twice; name different runs")
+
+
+def check_complete(runs: Mapping[str, RunScores], *, otherwise: str = "") -> None:
+    """Raises ConfigError for a run with planned trials that have no verdict: its rates would be over fewer.
+
+    Args:
+        runs: name for messages -> run.
+        otherwise: what else the caller offers than to complete the run.
+    """
+    for name, run in runs.items():
+        if run.incomplete:
+            first, why = next(iter(run.unjudged.items()))
+            reason = why.partition("\n")[0]
+            raise ConfigError(
+                f"{name} is {run.incomplete} (the first without: {first}, {reason}); {run.completing}{otherwise}"
+            )
 
 
 def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
@@ -31,7 +49,7 @@ def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
         if not judged(scores):
             raise ConfigError(
                 f"run {name} has no trial to compare: none is scored, or the harness failed in all of them; "
-                "repeat them with run --retry-failed"
+                "give its `carecontact run` command again"
             )
     (reference, scores), *others = runs.items()
     for name, other in others:
@@ -67,9 +85,25 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
                 "both without"
             )
         raise ConfigError(
-            f"{name_a} and {name_b} were simulated in different worlds: {told}; run both with the same release and "
-            "robot. A compiled model can also differ between processors: then run both on one machine"
+            f"{name_a} and {name_b} were simulated in different worlds: {told}; run both with the same release, body, "
+            "robot and controller"
         )
+
+
+def machines_text(runs: Mapping[str, Sequence[TrialScore]]) -> str:
+    """Return a sentence about what computed and drew comparable runs, where it differs; else empty.
+
+    Args:
+        runs: name for messages -> scores.
+    """
+    parts: list[str] = []
+    for part, title in PROVENANCE.items():
+        names: dict[str, list[str]] = {}
+        for name, scores in runs.items():
+            names.setdefault(" and ".join(machines(judged(scores), part)), []).append(name)
+        if len(names) > 1:
+            parts.append(f"{title} {', '.join(f'{value} ({listed(held)})' for value, held in names.items())}")
+    return f"computed or drawn by different machines: {'; '.join(parts)}; {EFFECT}" if parts else ""
 
 
 def trials_by_key(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialScore]:

@@ -9,12 +9,12 @@ from typing import Any
 
 from carecontact import __version__
 from carecontact.errors import ConfigError
-from carecontact.reports.compare.comparable import check_comparable, trials_by_key
+from carecontact.reports.compare.comparable import check_comparable, check_complete, machines_text, trials_by_key
 from carecontact.reports.compare.paired_lines import Line, paired_lines
 from carecontact.reports.compare.plain import plain
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
 from carecontact.reports.over_seeds import Over, over_of
-from carecontact.runs.pooling import judged
+from carecontact.runs.pooling import judged, rejected_text
 from carecontact.runs.run_scores import RunScores
 from carecontact.scoring.result import TrialScore
 
@@ -38,6 +38,7 @@ class RunInfo:
     n_trials: int
     """Number of trials that say something about the policy, which excludes harness errors."""
     n_harness_errors: int
+    n_planned: int
     skipped: dict[str, str]
     n_missing: int
     """Planned trials that were not scored, whatever the reason."""
@@ -57,6 +58,10 @@ class Comparison:
     pairing: Pairing
     overall: tuple[Line, ...]
     """One family for Holm."""
+    machines: str
+    """What computed and drew the runs, where it differs; else empty."""
+    rejected_tissue: str
+    """A sentence for runs on a tissue whose calibration was rejected; else empty."""
     per_task: dict[str, tuple[Line, ...]] | None
     """Task -> its lines, all tasks one further family; None unless requested."""
 
@@ -73,12 +78,18 @@ class Comparison:
         return {key: plain(value) for key, value in content.items()}
 
 
-def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Comparison:
+def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False, allow_incomplete: bool = False) -> Comparison:
     """Pair the trials of two runs by task and seed and compare everything that is scored.
 
-    Trials in which the harness failed are in no pair and no count. Raises ConfigError, naming what differs, if the
-    runs must not be compared: another protocol, overrides, definitions or world, or no task and seed in common.
+    Args:
+        allow_incomplete: whether to compare runs of which planned trials have no verdict; these are in no pair and no
+            count.
+
+    Raises ConfigError, naming what differs, if the runs must not be compared: another protocol, overrides, definitions
+    or world, an incomplete run, or no task and seed in common.
     """
+    if not allow_incomplete:
+        check_complete({"A": a, "B": b}, otherwise=", or compare with allow_incomplete=True")
     check_comparable({"A": a.scores, "B": b.scores})
     of_a, of_b = trials_by_key(a.scores), trials_by_key(b.scores)
     keys = sorted(of_a.keys() & of_b.keys())
@@ -119,6 +130,8 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False) -> Compa
             unpaired_a=_without_partner(of_a, of_b, b),
             unpaired_b=_without_partner(of_b, of_a, a),
         ),
+        rejected_tissue=rejected_text(a.scores),
+        machines=machines_text({"A": a.scores, "B": b.scores}),
         overall=tuple(conclude(paired_lines(pairs, every_a, every_b))),
         per_task=lines,
     )
@@ -151,6 +164,7 @@ def _info(run: RunScores) -> RunInfo:
         language_backend=tuple(sorted({s.language_backend for s in counted})),
         n_trials=len(counted),
         n_harness_errors=len(run.scores) - len(counted),
+        n_planned=len(counted) + len(run.unjudged),
         skipped=run.skipped,
         n_missing=len(run.missing),
         versions=run.versions,

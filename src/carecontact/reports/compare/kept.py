@@ -10,7 +10,6 @@ from carecontact.errors import CarecontactError
 from carecontact.policies.registry import POLICIES
 from carecontact.protocols import load_protocol
 from carecontact.reports.compare.baselines import Baselines, beside_baselines, check_baselines
-from carecontact.runs.pooling import judged
 from carecontact.runs.run_scores import RunScores
 from carecontact.runs.stored_scores import read_scores
 
@@ -49,13 +48,11 @@ def completed_from_kept(run: RunScores, named: RunScores, *, folders: Sequence[P
             kept = read_scores(file).scores
             if kept[0].policy_title != named.scores[0].policy_title:
                 continue
-            # A trial in which the harness failed says nothing, so that the kept one takes its place.
-            there = judged(named.scores)
-            taken = {s.trial_id for s in there}
+            taken = {s.trial_id for s in named.scores}
             further = [s for s in kept if s.trial_id not in taken]
             if not further:
                 return named
-            both = replace(named, scores=[*there, *further])
+            both = replace(named, scores=[*named.scores, *further])
             check_baselines(run, [both])
         except CarecontactError:
             continue

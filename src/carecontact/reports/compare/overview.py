@@ -12,7 +12,7 @@ from carecontact import __version__
 from carecontact.errors import ConfigError
 from carecontact.reports.compare.baselines import Baselines
 from carecontact.reports.compare.blind_floor import role_in
-from carecontact.reports.compare.comparable import check_comparable, trials_by_key
+from carecontact.reports.compare.comparable import check_comparable, machines_text, trials_by_key
 from carecontact.reports.compare.outcomes import RATES
 from carecontact.reports.compare.paired_lines import Line, rate_lines
 from carecontact.reports.compare.plain import plain
@@ -20,6 +20,7 @@ from carecontact.reports.compare.rankings import Ranking, rank
 from carecontact.reports.compare.verdicts import ALPHA, POWER, conclude
 from carecontact.reports.over_seeds import Over, over_of, rate_of
 from carecontact.reports.table import SummaryRow, summary_rows
+from carecontact.runs.pooling import rejected_text
 from carecontact.runs.run_scores import RunScores
 from carecontact.stats import Proportion
 
@@ -55,7 +56,14 @@ class Overview:
     rates: dict[str, dict[str, Proportion]]
     """Letter -> rate -> its share of the trials."""
     pairs: tuple[PairOfRuns, ...]
-    ranking: Ranking
+    machines: str
+    """What computed and drew the runs, where it differs; else empty."""
+    incomplete: dict[str, str]
+    """Letter of a run of which planned trials have no verdict -> how many have one."""
+    rejected_tissue: str
+    """A sentence for runs on a tissue whose calibration was rejected; else empty."""
+    ranking: Ranking | None
+    """None where a run is incomplete."""
 
 
 def overview(runs: Sequence[RunScores]) -> Overview:
@@ -88,7 +96,10 @@ def overview(runs: Sequence[RunScores]) -> Overview:
         rows={name: summary_rows(of_run)[-1] for name, of_run in scores.items()},
         rates={name: {r.id: rate_of(of_run, r.field) for r in RATES} for name, of_run in scores.items()},
         pairs=tuple(PairOfRuns(a=a, b=b, lines=tuple(next(concluded) for _ in lines)) for a, b, lines in found),
-        ranking=rank(scores),
+        machines=machines_text({name: run.scores for name, run in named.items()}),
+        incomplete=(lacking := {name: run.incomplete for name, run in named.items() if run.incomplete}),
+        rejected_tissue=rejected_text(runs[0].scores),
+        ranking=None if lacking else rank(scores),
     )
 
 

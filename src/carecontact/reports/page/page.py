@@ -19,7 +19,7 @@ from carecontact.reports.page.section import Page, sections_in_order
 from carecontact.reports.page.title import protocol_of
 from carecontact.reports.page_links import link_report
 from carecontact.reports.table import sorted_scores
-from carecontact.runs.pooling import check_one_run, judged
+from carecontact.runs.pooling import check_one_run, judged, unjudged
 from carecontact.scoring.result import TrialScore
 
 FILE_NAME = "report.html"
@@ -40,13 +40,14 @@ def write_report(
     recordings: Read,
     skipped: Mapping[str, str],
     missing: Sequence[str] = (),
+    elsewhere: Sequence[str] = (),
     baselines: Baselines | None = None,
     lost_baselines: Mapping[str, str] | None = None,
     kept_scores: str = "",
 ) -> Path:
     """Write ``run_folder/report.html`` and return its path.
 
-    Trials in which the harness failed are listed in a box of their own and are in no count, row or picture.
+    Planned trials without a verdict are listed in a box of their own; they make every count an interval.
     Raises ConfigError if the scores mix protocols, policies or worlds.
 
     Args:
@@ -55,6 +56,7 @@ def write_report(
             page.
         skipped: trial id or file name -> why it has no score.
         missing: trials that were planned and have no score.
+        elsewhere: trials of the other parts of the run.
         baselines: blind baselines that stand beside the run; None: the page says that there are none.
         lost_baselines: baseline that belongs there -> why it is not.
         kept_scores: why the kept scores of the shipped policies do not stand beside the run; empty where they do.
@@ -64,7 +66,8 @@ def write_report(
     counted = judged(ordered)
     page = Page(
         folder=run_folder, scores=ordered, judged=counted, shown=trials_in_detail(counted), skipped=skipped,
-        missing=missing, baselines=baselines, lost_baselines=lost_baselines or {},
+        unjudged=unjudged(ordered, skipped=skipped, missing=missing, elsewhere=elsewhere),
+        baselines=baselines, lost_baselines=lost_baselines or {},
         kept_scores=kept_scores, links=_links(run_folder, ordered),
     )  # fmt: skip
     _read(page, recordings)

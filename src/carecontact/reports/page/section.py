@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from carecontact.contract.protocol import Protocol
+from carecontact.errors import counted
 from carecontact.recording.schema import Header, Recording
 from carecontact.registry import Registry
 from carecontact.reports.compare.baselines import Baselines
@@ -24,13 +25,13 @@ class Page:
     scores: Sequence[TrialScore]
     """All of them, by task and seed."""
     judged: Sequence[TrialScore]
-    """The scores without the trials in which the harness failed."""
+    """The scores of the trials that have a verdict: all but those in which the harness failed."""
     shown: Sequence[TrialScore]
     """The scores of ``judged`` that the page shows one by one."""
     skipped: Mapping[str, str]
     """File -> why it has no score."""
-    missing: Sequence[str]
-    """Trials that were planned and have no score."""
+    unjudged: Mapping[str, str]
+    """Planned trial -> why it has no verdict."""
     baselines: Baselines | None
     """Blind baselines that stand beside the run."""
     lost_baselines: Mapping[str, str]
@@ -50,6 +51,14 @@ class Page:
     def protocol(self) -> Protocol | None:
         """None where no recording could be read."""
         return next((header.spec.protocol for header in self.headers.values()), None)
+
+    @property
+    def trials(self) -> str:
+        """``7 trials``, or ``15 trials with a verdict, of 18 planned``."""
+        trials = counted(len(self.judged), "trial")
+        return (
+            f"{trials} with a verdict, of {len(self.judged) + len(self.unjudged)} planned" if self.unjudged else trials
+        )
 
     @property
     def gamma(self) -> float | None:

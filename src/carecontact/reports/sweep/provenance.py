@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 HEADS = ("what", "value")
 DIGITS = 12
 """Number of digits of a hash that tables show."""
-WORLD = ("kernel", "robot", "mujoco")
+WORLD = ("world", "kernel", "perception", "noise", "robot", "mujoco")
 """Parts of the simulated world that every trial of a sweep shares."""
 
 

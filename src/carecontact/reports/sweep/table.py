@@ -12,7 +12,8 @@ from carecontact.reports.sweep.gate_orders import GateOrder, gate_orders
 from carecontact.reports.sweep.ladder import Ladder, ladder
 from carecontact.reports.sweep.persons import of_role
 from carecontact.reports.sweep.stability import Group, Stability, stability
-from carecontact.reports.table import SummaryRow, summary_rows
+from carecontact.reports.table import POOLED, SummaryRow, counts_of, sorted_scores
+from carecontact.runs.pooling import check_one_run
 from carecontact.scoring.result import TrialScore
 
 RATES = {"safety_gated": "safety-gated", "region_correct": "region-correct", "success": "success"}
@@ -38,8 +39,9 @@ class CellScores:
     """Package -> the versions with which the trials were recorded."""
 
     @property
-    def is_whole(self) -> bool:
-        return len(self.scores) == self.planned
+    def unknown(self) -> int:
+        """Planned trials without a verdict."""
+        return self.planned - sum(score.is_judged for score in self.scores)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +79,8 @@ class SweepTable:
 
     @property
     def unfinished(self) -> int:
-        """Cells that lack a trial."""
-        return sum(not row.cell.is_whole for row in self.rows)
+        """Cells that lack the verdict on a trial."""
+        return sum(row.cell.unknown > 0 for row in self.rows)
 
 
 def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> SweepTable:
@@ -105,9 +107,12 @@ def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> Swe
 
 
 def ranked_policies(cells: Sequence[CellScores]) -> list[str]:
-    """Return the methods; where the plan has not two of them, all policies."""
+    """Return the methods or, where the plan has not two of them, all policies: those that have a verdict on every
+    planned trial."""
     methods = of_role(cells, "method")
-    return methods if len(methods) > 1 else list(dict.fromkeys(cell.label for cell in cells))
+    unfinished = {cell.label for cell in cells if cell.unknown}
+    wanted = methods if len(methods) > 1 else list(dict.fromkeys(cell.label for cell in cells))
+    return [name for name in wanted if name not in unfinished]
 
 
 OUTCOMES = {"safety_gated": "safety_gated", "region_correct": "region_correct", "success": "c3_success"}
@@ -115,10 +120,11 @@ OUTCOMES = {"safety_gated": "safety_gated", "region_correct": "region_correct", 
 
 
 def _row(cell: CellScores) -> CellRow:
-    rows = summary_rows(cell.scores)
+    check_one_run(cell.scores)
+    counts = counts_of(POOLED, "All trials", sorted_scores(cell.scores), unknown=cell.unknown)
     return CellRow(
         cell=cell,
-        counts=rows[-1] if rows else None,
+        counts=counts if cell.scores else None,
         crashed=sum(score.is_crash for score in cell.scores),
         harness_errors=sum(not score.is_judged for score in cell.scores),
     )

@@ -25,14 +25,15 @@ from carecontact.reports.sweep.stability import Order, Stability
 from carecontact.reports.sweep.table import PASSED, RATES, CellRow, SweepTable
 from carecontact.reports.table import headlines
 from carecontact.reports.text import NA, NOT_DEFINED, listed, percent
+from carecontact.runs.aggregate import rate
 from carecontact.runs.pooling import judged
 from carecontact.scoring.metrics.metric import Metric
-from carecontact.stats import wilson_interval
 
 
 def as_csv(table: SweepTable) -> str:
-    """Return one row for each cell; percentages are not rounded. A cell without trials has empty fields, and one with
-    fewer than SEEDS_FOR_INTERVAL seeds has no intervals."""
+    """Return one row for each cell; percentages are not rounded. A cell without trials has empty fields, one in which
+    planned trials have no verdict has no percentages, and one with fewer than SEEDS_FOR_INTERVAL seeds has no
+    intervals."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     metrics = headlines()
@@ -53,10 +54,9 @@ def _numbers(row: CellRow, metrics: Sequence[Metric]) -> list[object]:
         return [0, 0, 0, *[""] * (4 * len(RATES) + len(metrics))]
     out: list[object] = [counts.n, row.crashed, row.harness_errors]
     for name in RATES:
-        found = wilson_interval(getattr(counts, name), counts.n)
-        estimate = "" if found.estimate is None else 100 * found.estimate
-        between = [100 * found.low, 100 * found.high] if enough_seeds(judged(row.cell.scores)) else ["", ""]
-        out += [found.k, estimate, *between]
+        found = rate(getattr(counts, name), counts.n, unknown=counts.unknown)
+        between = found["pc_ci95"] if counts.unknown or enough_seeds(judged(row.cell.scores)) else ["", ""]
+        out += [found["n"], "" if found["pc"] is None else found["pc"], *between]
     return out + [counts.medians[metric.id].estimate for metric in metrics]
 
 
@@ -75,10 +75,11 @@ def cells(row: CellRow) -> list[str]:
     label = row.cell.label if role == "method" else f"{row.cell.label} ({role})"
     left = [label, *row.cell.values.values()]
     if row.counts is None:
-        return [*left, f"0/{row.cell.planned}", *[NA] * (len(RATES) + len(headlines()))]
+        planned = row.cell.planned
+        return [*left, f"0/{planned}", *[f"0–{planned}/{planned}"] * len(RATES), *[NA] * len(headlines())]
     counts = row.counts
     trials = str(counts.n) if counts.n == row.cell.planned else f"{counts.n}/{row.cell.planned}"
-    rates = [f"{getattr(counts, name)}/{counts.n}" for name in RATES]
+    rates = [counts.share(getattr(counts, name)) for name in RATES]
     # A table of one policy in each row has one sign for what has no value.
     return [*left, trials, *rates, *(NA if text == NOT_DEFINED else text for text in counts.median_cells())]
 
@@ -103,12 +104,14 @@ def sentences(table: SweepTable) -> list[str]:
     told = [f"{counted(len(table.rows), 'cell')} of {policies}, {_trials(table)}."]
     if table.unfinished:
         told.append(
-            f"Unfinished: {counted(table.unfinished, 'cell')} {_verb(table.unfinished, 'lacks', 'lack')} trials."
+            f"Incomplete: {counted(table.unfinished, 'cell')} {_verb(table.unfinished, 'lacks', 'lack')} the verdict "
+            "on planned trials; each count there goes from all of these failed to all of them passed, and the policy "
+            "is not ranked. Spreads and medians are of the trials with a verdict. The same command repeats the others."
         )
     failed = sum(row.harness_errors for row in table.rows)
     if failed:
         told.append(
-            f"The harness failed in {counted(failed, 'trial')}, which {_verb(failed, 'is', 'are')} in no count."
+            f"The harness failed in {counted(failed, 'trial')}, which {_verb(failed, 'has', 'have')} no verdict."
         )
     found = table.stability
     if not enough({score.seed for row in table.rows for score in row.cell.scores}):
@@ -121,7 +124,8 @@ def sentences(table: SweepTable) -> list[str]:
     )
     if found.groups > 1:
         told.append(_held(found))
-    if others := [named for name, named in table.named.items() if name not in found.passed]:
+    unfinished = {row.cell.label for row in table.rows if row.cell.unknown}
+    if others := [n for name, n in table.named.items() if name not in found.passed and name not in unfinished]:
         told.append(f"Not ranked, because they are no methods: {listed(others)}.")
     return told
 

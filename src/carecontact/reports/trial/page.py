@@ -29,6 +29,7 @@ from carecontact.reports.trial.skin_view import skin_views
 from carecontact.reports.trial.timeline import OUT_M, Panel, letter, panels_of, timeline_svg
 from carecontact.reports.trial.words import facts, how_hard, outcome
 from carecontact.reports.units import shown_unit
+from carecontact.runs.pooling import rejected_text
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.c3_success import judge
@@ -84,6 +85,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
         printed=_printed(recording),
         not_printed=_not_printed(recording),
         failure=recording.header.failure,
+        rejected=rejected_text([score]),
         **_contact(recording, score),
         **_policy(recording),
     )

@@ -99,19 +99,30 @@ def _shown(position: npt.NDArray[np.float64]) -> list[float]:
     return [float(f"{x:.6g}") for x in position]
 
 
+def allowed_stiffness(values: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.bool_]:
+    """Return which of the numbers (..., 2), translational and rotational, or (..., 6), one for each axis, are allowed.
+    Zero is, for a single axis: there, a feedforward alone moves the tool."""
+    limits = np.array([bounds.translational_stiffness, bounds.rotational_stiffness], np.float64)
+    low, high = limits.repeat(values.shape[-1] // 2, axis=0).T
+    return ((low <= values) & (values <= high)) | ((values == 0) & (values.shape[-1] == 6))
+
+
 def _stiffness(given: tuple[float, ...], bounds: ActionBounds) -> tuple[float, ...]:
-    """Two numbers, or one for each axis: there 0 is allowed, for an axis that a feedforward alone moves."""
+    """Two numbers, or one for each axis."""
     if len(given) not in (2, 6):
         raise ActionError(
             "stiffness: expected 2 numbers (translational, rotational) or 6 (x y z, then about x y z), "
             f"got {len(given)}"
         )
-    linear = (*bounds.translational_stiffness, "N/m"), (*bounds.rotational_stiffness, "N m/rad")
-    limits = linear if len(given) == 2 else (linear[0],) * 3 + (linear[1],) * 3
-    for value, (low, high, unit) in zip(given, limits, strict=True):
-        if not low <= value <= high and not (value == 0 and len(given) == 6):
-            zero = ", or 0 on an axis with a feedforward" if len(given) == 6 else ""
-            raise ActionError(f"stiffness: expected {low:g} to {high:g} {unit}{zero}, got {value}")
+    allowed = allowed_stiffness(np.array(given, np.float64), bounds)
+    if not allowed.all():
+        axis, six = int(np.flatnonzero(~allowed)[0]), len(given) == 6
+        turns = axis >= len(given) // 2
+        low, high = bounds.rotational_stiffness if turns else bounds.translational_stiffness
+        raise ActionError(
+            f"stiffness: expected {low:g} to {high:g} {'N m/rad' if turns else 'N/m'}"
+            f"{', or 0 on an axis with a feedforward' if six else ''}, got {given[axis]}"
+        )
     return tuple(float(value) for value in given)
 
 

@@ -18,7 +18,7 @@ from carecontact.scoring.metrics.metric import METRICS, Metric
 TEMPLATE = """\
 <section id="tasks">
 <h2>By task</h2>
-<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ n }} trial{{ "" if n == 1 else "s" }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed {{ same }}; {{ "a policy that is not named under a count" if beside == 1 else "policies that are not named under a count" }} passed nothing there{{ (", or has" if beside == 1 else ", or have") ~ " no trials there" if gaps else "" }}.{% endif %}</p>
+<p class="note">{% if only_crashes %}The policy crashed in every trial before any contact. Therefore, this page has no medians, and nothing on force, safety, load and gates.{% else %}Counts, then medians over the trials that have a value; n says over how many, NA that none has. {{ metrics }}. {{ valid.n }} of {{ trials }} {{ "has" if valid.n == 1 else "have" }} a trajectory to score (valid ratio {{ '%.0f'|format(valid.pc) }} %{% if unknown %} of those with a verdict{% endif %}{% if enough %}, 95 % interval {{ '%.0f'|format(valid.pc_ci95[0]) }} to {{ '%.0f'|format(valid.pc_ci95[1]) }} %{% endif %}); {{ touched }} had valid contact.{% endif %}{% if beside %} Under each count: what other policies passed {{ same }}; {{ "a policy that is not named under a count" if beside == 1 else "policies that are not named under a count" }} passed nothing there{{ (", or has" if beside == 1 else ", or have") ~ " no trials there" if gaps else "" }}.{% endif %}</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table by task">
 <table>
 <thead><tr><th scope="col">task</th><th scope="col">name</th>{% for column in columns %}<th scope="col" class="num{% if column == "n" %} wide{% endif %}">{{ column }}</th>{% endfor %}</tr></thead>
@@ -50,13 +50,14 @@ def by_task(page: Page) -> dict[str, Any] | None:
         "only_crashes": nothing,
         "rows": [
             {"task_id": row.task_id, "name": row.name, "cells": _cells(page, row, crashed=crashed, medians=not nothing)}
-            for row in summary_rows(page.scores)
+            for row in summary_rows(page.scores, page.unjudged)
         ],
         "pooled": POOLED,
         "metrics": ", ".join(map(_explained, headlines())),
         "valid": valid_ratio(page.judged),
         "enough": enough_seeds(page.judged),
-        "n": len(page.judged),
+        "trials": page.trials,
+        "unknown": len(page.unjudged),
         "touched": sum(score.valid_contact for score in page.judged),
         "whole_names": [(short, whole) for whole, short in _names(page).items() if short != whole],
         "same": same_trials(others, len(page.judged)) if others else "",
@@ -67,11 +68,11 @@ def by_task(page: Page) -> dict[str, Any] | None:
 
 def _cells(page: Page, row: SummaryRow, *, crashed: bool, medians: bool) -> list[Cell]:
     of_row = [score for score in page.judged if row.task_id in (score.task_id, POOLED)]
-    found: list[Cell] = [(str(row.n), [])]
+    found: list[Cell] = [(row.trials, [])]
     if crashed:
         found.append((f"{sum(score.is_crash for score in of_row)}/{len(of_row)}", []))
     counts = {"success": row.success, "region_correct": row.region_correct, "safety_gated": row.safety_gated}
-    found += [(f"{k}/{row.n}", _beside(page, row.task_id, rate)) for rate, k in counts.items()]
+    found += [(row.share(k), _beside(page, row.task_id, rate)) for rate, k in counts.items()]
     if medians:
         for metric_id, median in row.medians.items():
             metric = METRICS[metric_id]

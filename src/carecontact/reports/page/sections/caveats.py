@@ -12,8 +12,8 @@ from carecontact.recording.schema import Header, Recording
 from carecontact.reports.intervals import SEEDS_FOR_INTERVAL, enough_seeds
 from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.sections.funnel import funnel
-from carecontact.reports.text import clipped_text, listed, percent
-from carecontact.runs.pooling import judged
+from carecontact.reports.text import clipped_text, percent
+from carecontact.runs.pooling import mixed
 from carecontact.scoring.result import TrialScore
 
 Caveat = tuple[str, str]
@@ -44,8 +44,7 @@ def cannot_say(page: Page) -> list[Caveat]:
     headers = list(page.headers.values())
     return [
         *_privileged(page.scores),
-        *_rejected(page.scores),
-        *_few(page.scores),
+        *_few(page),
         *_bodies(headers),
         *_alive(headers),
         *_variation(headers),
@@ -70,31 +69,21 @@ def _privileged(scores: Sequence[TrialScore]) -> list[Caveat]:
     return [("Privileged", text)]
 
 
-def _rejected(scores: Sequence[TrialScore]) -> list[Caveat]:
-    found = sorted({text for score in scores if (text := score.world.get("rejected_tissue"))})
-    if not found:
-        return []
-    text = (
-        f"The calibration of this tissue was rejected: {'; '.join(found)}. Forces and indentations here are not those "
-        "of the tissue that was measured."
-    )
-    return [("Rejected calibration", text)]
-
-
-def _few(scores: Sequence[TrialScore]) -> list[Caveat]:
-    steps = funnel(scores)
+def _few(page: Page) -> list[Caveat]:
+    steps = funnel(page.scores, unknown=len(page.unjudged))
     if not steps:
         return []
     last = steps[-1]
-    if not enough_seeds(judged(scores)):
+    passes = f"{last.count.partition(' of ')[0]} safety-gated {'pass' if last.count.startswith('1 of') else 'passes'}"
+    if not enough_seeds(page.judged):
         text = (
-            f"{last.k} safety-gated {'pass' if last.k == 1 else 'passes'} of {last.n}, with fewer than "
+            f"{passes} of {last.n}, with fewer than "
             f"{SEEDS_FOR_INTERVAL} seeds: too few for an interval, and too few to show any difference between policies."
         )
         return [(f"n = {last.n}", text)]
     text = (
-        f"{last.k} safety-gated passes of {last.n} are compatible with any true rate from {percent(last.low)} "
-        f"to {percent(last.high)}; each task has only {_task_counts(scores)}. "
+        f"{passes} of {last.n} are compatible with any true rate from {percent(last.low)} "
+        f"to {percent(last.high)}; each task has only {_task_counts(page.scores)}. "
         "This run cannot show small differences between policies."
     )
     return [(f"n = {last.n}", text)]
@@ -174,15 +163,11 @@ def _blind_but(policy: str) -> str:
 
 def _incomplete(page: Page) -> list[Caveat]:
     found: list[Caveat] = []
-    if page.missing:
-        text = (
-            f"{counted(len(page.missing), 'planned trial')} {'has' if len(page.missing) == 1 else 'have'} no score: "
-            f"{listed(page.missing)}. The run is unfinished."
-        )
-        found.append(("Unfinished", text))
     if page.skipped:
-        text = f"{counted(len(page.skipped), 'file')} could not be scored; every count above leaves {'it' if len(page.skipped) == 1 else 'them'} out."
+        text = f"{counted(len(page.skipped), 'file')} could not be scored: see the end of this page."
         found.append(("Files left out", text))
+    if several := mixed(page.judged):
+        found.append(("Several machines", several))
     return found
 
 

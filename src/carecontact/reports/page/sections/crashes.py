@@ -18,7 +18,7 @@ MOST = 12
 NO_REASON = "no reason recorded"
 TEMPLATE = """\
 <section id="crashes" class="caution crashes">
-<h2>The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}</h2>
+<h2>The policy crashed in {{ n_crashed }} of {{ trials }}</h2>
 <p class="note">Such a trial counts as a failure and never as within the safety gate; a force above the gate before the crash counts{% if n_over %}, as in {{ n_over }} trial{{ "" if n_over == 1 else "s" }} here{% endif %}. To run {{ "it" if n_crashed == 1 else "them" }} again, give the same command with <span class="keep">--restart</span> after a change of the policy, or with <span class="keep">--retry-failed</span> if the cause lay outside it.</p>
 <dl>
 {% for crash in crashes %}
@@ -54,6 +54,7 @@ def crashes_section(page: Page) -> dict[str, Any] | None:
         return None
     return {
         "n": len(page.judged),
+        "trials": page.trials,
         "n_crashed": sum(score.is_crash for score in page.judged),
         "n_over": sum(score.is_crash and bool(score.over_limit) for score in page.judged),
         "crashes": found[:MOST],

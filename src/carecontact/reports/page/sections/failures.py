@@ -13,7 +13,7 @@ TEMPLATE = """\
 <section id="failures">
 <h2>Why trials failed</h2>
 {% if modes %}
-<p class="note">{{ failed }} of {{ n }} trial{{ "" if n == 1 else "s" }} did not succeed on the named region{% if joints %}, or succeeded and moved a joint too far beyond its range{% endif %}. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
+<p class="note">{{ failed }} of {{ trials }} did not succeed on the named region{% if joints %}, or succeeded and moved a joint too far beyond its range{% endif %}. Each has exactly one failure mode and one cause (attribution); shares are of these {{ failed }}.</p>
 <div class="scroll" tabindex="0" role="region" aria-label="Table of failure modes">
 <table>
 <thead><tr><th scope="col">mode</th><th scope="col">meaning</th><th scope="col" class="num">trials</th><th scope="col" class="num">share</th><th scope="col">attributed to</th></tr></thead>
@@ -35,7 +35,7 @@ TEMPLATE = """\
 </table>
 </div>
 {% else %}
-<p>No trial failed: every one succeeded on the named region.{% if unsafe %} But {{ unsafe }} of {{ n }} did not pass safely; the <a href="#trials">table of trials</a> says why.{% endif %}</p>
+<p>No trial failed: every one succeeded on the named region.{% if unsafe %} But {{ unsafe }} of {{ trials }} did not pass safely; the <a href="#trials">table of trials</a> says why.{% endif %}</p>
 {% endif %}
 {% if anatomy %}
 <h3 class="after">Where contact fell</h3>
@@ -59,7 +59,7 @@ def failures(page: Page) -> dict[str, Any] | None:
     if not page.judged:
         return None
     return {
-        "n": len(page.judged),
+        "trials": page.trials,
         "failed": sum(score.failure_mode is not None for score in page.judged),
         "joints": any(score.failure_mode == "joint_beyond_range" for score in page.judged),
         "unsafe": sum(not score.safety_gated for score in page.judged),

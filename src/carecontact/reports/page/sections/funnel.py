@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from carecontact.errors import counted
 from carecontact.reports.compare.baselines import Baselines, Passed
 from carecontact.reports.compare.blind_floor import ALL
 from carecontact.reports.intervals import enough_seeds
@@ -16,9 +17,9 @@ from carecontact.reports.page.sections.head import REPLAY
 from carecontact.reports.short_names import short_names
 from carecontact.reports.svg import Anchor, Axes, Drawing
 from carecontact.reports.text import percent
-from carecontact.runs.pooling import judged
+from carecontact.runs.pooling import judged, share
 from carecontact.scoring.result import TrialScore
-from carecontact.stats import Proportion
+from carecontact.stats import Proportion, wilson_interval
 
 WIDTH, ROW, BAR, THIN, BESIDE, BOTTOM = 460, 66, 15, 5, 21, 24
 """Sizes of the drawing: its width, a step, its bar, the bar of a policy beside it, that policy's row, the labels."""
@@ -31,7 +32,7 @@ RATE_OF = {"Success": "success", "Region-correct": "region_correct", "Safety-gat
 TEMPLATE = """\
 <section id="funnel">
 <h2>From success to safe success</h2>
-<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ n }} trial{{ "" if n == 1 else "s" }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies {{ beside }}{% endif %}. {% if enough %}Whiskers are {% if over_seeds %}95 % intervals over the seeds (a seed is one person, whose trials are not independent) of{% else %}Wilson 95 % intervals over{% endif %}{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ n }} trial{{ "" if n == 1 else "s" }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.{% if n_more %} The <a href="#baselines">table of baselines</a> has {{ n_more }} further polic{{ "y" if n_more == 1 else "ies" }}.{% endif %}</p>
+<p class="note">{% if n_crashed %}The policy crashed in {{ n_crashed }} of {{ trials }}. {% endif %}Each bar is a part of the one above it{% if beside %}; the thin bars under it are other policies {{ beside }}{% endif %}. {% if enough %}Whiskers are {% if over_seeds %}95 % intervals over the seeds (a seed is one person, whose trials are not independent) of{% else %}Wilson 95 % intervals over{% endif %}{% else %}There are no intervals, because the run has fewer than six seeds. Counts are over{% endif %} {{ over }} of {{ n_tasks }} task{{ "" if n_tasks == 1 else "s" }}.{% if n_more %} The <a href="#baselines">table of baselines</a> has {{ n_more }} further polic{{ "y" if n_more == 1 else "ies" }}.{% endif %}</p>
 {{ svg|safe }}
 </section>
 """
@@ -45,16 +46,23 @@ class Step:
     """Style of the bar."""
     k: int
     n: int
+    unknown: int = 0
+    """Those of the ``n`` planned trials that have no verdict."""
     low: float
     high: float
     """95 % interval, as fractions (``rate_of``)."""
     beside: tuple[tuple[str, Proportion], ...] = ()
     """Other policies and their rates."""
 
+    @property
+    def count(self) -> str:
+        """``9 of 18``, or ``9 to 12 of 18`` where three trials have no verdict."""
+        return share(self.k, self.n - self.unknown, self.unknown)
+
 
 @section("funnel", order=20, template=TEMPLATE)
 def funnel_section(page: Page) -> dict[str, Any] | None:
-    steps = funnel(page.judged, page.baselines)
+    steps = funnel(page.judged, page.baselines, unknown=len(page.unjudged))
     n_tasks = len({score.task_id for score in page.judged})
     if not steps:
         return None
@@ -66,15 +74,19 @@ def funnel_section(page: Page) -> dict[str, Any] | None:
         "over_seeds": over_of(page.judged[0]) == "seeds",
         "beside": same_trials(others, len(page.judged)) if others else "",
         "n_more": 0 if page.baselines is None else len(page.baselines.baselines) - len(others),
-        "n": len(page.judged),
+        "trials": page.trials,
+        "over": counted(len(page.judged) + len(page.unjudged), "planned trial" if page.unjudged else "trial"),
         "n_tasks": n_tasks,
         "n_crashed": sum(score.is_crash for score in page.judged),
     }
 
 
-def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> list[Step]:
+def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None, *, unknown: int = 0) -> list[Step]:
     """Three steps, each a subset of the one before, under a first one where the policy crashed in some trial; empty
-    without a trial that is ``judged``."""
+    without a trial that is ``judged``.
+
+    ``unknown``: planned trials without a verdict: bars then are over all planned trials, as if these had failed.
+    """
     scores = judged(scores)
     if not scores:
         return []
@@ -100,15 +112,20 @@ def funnel(scores: Sequence[TrialScore], baselines: Baselines | None = None) -> 
     for name, meaning, style, found in steps:
         id_ = RATE_OF.get(name)
         beside = tuple((names[row.policy], row.rates[id_]) for row in others) if id_ else ()
+        low, high = found.low, found.high
+        if unknown:
+            n = found.n + unknown
+            low, high = wilson_interval(found.k, n).low, wilson_interval(found.k + unknown, n).high
         out.append(
             Step(
                 name=name,
                 meaning=meaning,
                 style=style,
                 k=found.k,
-                n=found.n,
-                low=found.low,
-                high=found.high,
+                n=found.n + unknown,
+                unknown=unknown,
+                low=low,
+                high=high,
                 beside=beside,
             )
         )
@@ -141,8 +158,8 @@ def funnel_svg(steps: Sequence[Step], *, intervals: bool = True) -> str:
     drawing = Drawing(width=WIDTH, height=height, style="funnel", title=alt)
     axes = Axes(drawing=drawing, left=1, right=1, top=0, bottom=BOTTOM, x=(0, 100))
     anchors: dict[int, Anchor] = {0: "start", 25: "middle", 50: "middle", 75: "middle", 100: "end"}
-    for share, anchor in anchors.items():
-        drawing.text("label", axes.px(share), axes.floor + 17, f"{share} %", anchor=anchor)
+    for at, anchor in anchors.items():
+        drawing.text("label", axes.px(at), axes.floor + 17, f"{at} %", anchor=anchor)
     top = 0.0
     for step in steps:
         _draw_step(axes, step, top, intervals=intervals)
@@ -153,7 +170,7 @@ def funnel_svg(steps: Sequence[Step], *, intervals: bool = True) -> str:
 def _told(step: Step, *, intervals: bool) -> str:
     interval = f", 95 % interval {percent(step.low)} to {percent(step.high)}" if intervals else ""
     beside = "".join(f", {policy} {rate.k} of {rate.n}" for policy, rate in step.beside)
-    return f"{step.name} {step.k} of {step.n}{interval}{beside}"
+    return f"{step.name} {step.count}{interval}{beside}"
 
 
 def _height(step: Step) -> float:
@@ -166,7 +183,7 @@ def _draw_step(axes: Axes, step: Step, top: float, *, intervals: bool) -> None:
     right, middle = axes.left + axes.width, y + BAR / 2
     drawing.text("name", axes.left, y - 23, step.name)
     interval = f"({percent(step.low)} to {percent(step.high)})" if intervals else ""
-    drawing.text("name", right, y - 23, f"{step.k} of {step.n}", anchor="end", note=interval)
+    drawing.text("name", right, y - 23, step.count, anchor="end", note=interval)
     drawing.text("meaning", axes.left, y - 7, step.meaning)
     drawing.rect("rail", axes.left, y, axes.width, BAR, rounded=True)
     drawing.path("tick", "".join(f"M{axes.px(share):.1f} {y}v{BAR}" for share in (25, 50, 75)))

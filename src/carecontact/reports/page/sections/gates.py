@@ -12,7 +12,7 @@ from carecontact.reports.page.section import Page, section
 TEMPLATE = """\
 <section id="gates">
 <h2>How much depends on the gates</h2>
-<p class="note">The values of the gates are choices of the benchmark. {% if gamma_svg %}The curve is the share of safety-gated trials over the allowed share γ′ of the pain limit{% if enough %}, with its Wilson 95 % interval{% endif %}; the share of region-correct trials is its upper bound. {% endif %}{% if panels %}Each small figure shows the trials that pass with another value of one gate, and the other gates as in the protocol, over the trials to which this gate applies. {% endif %}{% if gamma_svg or panels %}A dotted line marks the protocol's own value.{% else %}None of them decides a result of this run.{% endif %}</p>
+<p class="note">The values of the gates are choices of the benchmark. {% if gamma_svg %}The curve is the share of safety-gated trials over the allowed share γ′ of the pain limit{% if enough %}, with its Wilson 95 % interval{% endif %}; the share of region-correct trials is its upper bound. {% endif %}{% if panels %}Each small figure shows the trials that pass with another value of one gate, and the other gates as in the protocol, over the trials to which this gate applies. {% endif %}{% if gamma_svg or panels %}A dotted line marks the protocol's own value.{% else %}None of them decides a result of this run.{% endif %}{% if trials %} All counts are of the {{ trials }}.{% endif %}</p>
 {% if flat %}
 <dl class="flat">
 {% for title, text in flat %}
@@ -45,6 +45,7 @@ def gates(page: Page) -> dict[str, Any] | None:
     panels, level = gate_panels(page.judged, page.protocol), gamma_flat(page.judged)
     flat = [("γ′, allowed share of the pain limit", level)] if level else []
     return {
+        "trials": page.trials if page.unjudged else "",
         "enough": enough_seeds(page.judged),
         "gamma_svg": "" if level else gamma_svg(page.judged, gamma=page.gamma),
         "flat": [*flat, *((panel.title, panel.flat) for panel in panels if panel.flat)],

@@ -23,7 +23,7 @@ REPLAY = "replay"
 """The shipped baseline that repeats recorded actions blindly."""
 TEMPLATE = """\
 <header id="verdict">
-<p class="eyebrow">carecontact report{% if policy %} · {{ policy }}{% endif %}{% if protocol %} · {{ protocol }}{% endif %} · {{ n }} trial{{ "" if n == 1 else "s" }}{% if draft %} <span class="draft">draft protocol</span>{% endif %}</p>
+<p class="eyebrow">carecontact report{% if policy %} · {{ policy }}{% endif %}{% if protocol %} · {{ protocol }}{% endif %} · {{ trials }}{% if draft %} <span class="draft">draft protocol</span>{% endif %}</p>
 <div class="lead{{ '' if scene else ' alone' }}">
 <div>
 <h1>{{ verdict }}</h1>
@@ -54,10 +54,10 @@ def head(page: Page) -> dict[str, Any]:
     return {
         "policy": page.scores[0].policy_title if page.scores else None,
         "protocol": protocol_of(page),
-        "n": len(page.judged),
+        "trials": page.trials,
         "draft": any(not header.spec.protocol.frozen for header in page.headers.values()),
         "scene": page.kept["head"].get("scene"),
-        "verdict": verdict(page.scores, missing=len(page.missing)),
+        "verdict": verdict(page.scores, unknown=len(page.unjudged)),
         "beside": _beside(page),
         "commands": _commands(page),
     }
@@ -139,12 +139,16 @@ def _which(method: str, name: str, blind: Passed, difference: RateDifference, ov
     return f"The difference, {points}, does not show which is better."
 
 
-def verdict(scores: Sequence[TrialScore], *, missing: int = 0) -> str:
-    """Return the sentence on all trials of a run. ``missing``: planned trials without a score."""
-    so_far = _verdict(scores)
-    if not missing:
-        return so_far
-    return f"Unfinished, {missing} of {len(scores) + missing} planned trials have no score. So far: {so_far}"
+def verdict(scores: Sequence[TrialScore], *, unknown: int = 0) -> str:
+    """Return the sentence on all trials of a run. ``unknown``: planned trials without a verdict."""
+    counted = judged(scores)
+    if not unknown or not counted:
+        return _verdict(scores)
+    n, gated = len(counted), sum(score.safety_gated for score in counted)
+    return (
+        f"Incomplete, {n} of {n + unknown} trials have a verdict: {counted[0].policy_title[:80]} passes between {gated} "
+        f"and {gated + unknown} of {n + unknown} on the named region and below the safety gate."
+    )
 
 
 def _verdict(scores: Sequence[TrialScore]) -> str:

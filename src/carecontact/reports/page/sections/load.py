@@ -20,7 +20,7 @@ TEMPLATE = """\
 <tr><th scope="col">median of</th><th scope="col">unit</th>{% for task in load.tasks + ("all",) %}<th scope="col" class="num">{{ task }}<span class="meaning">n = {{ load.contacts[loop.index0] }}</span></th>{% endfor %}</tr>
 </thead>
 <tbody>
-<tr><th scope="row">Trials with valid contact</th><td></td>{% for k in load.contacts %}<td class="num">{{ k }}{% if k != load.n[loop.index0] %} of {{ load.n[loop.index0] }}{% endif %}</td>{% endfor %}</tr>
+<tr><th scope="row">Trials with valid contact{% if trials %}<span class="meaning">of the {{ trials }}</span>{% endif %}</th><td></td>{% for k in load.contacts %}<td class="num">{{ k }}{% if k != load.n[loop.index0] %} of {{ load.n[loop.index0] }}{% endif %}</td>{% endfor %}</tr>
 {% for row in load.rows %}
 <tr><th scope="row">{{ row.metric.title }}</th><td class="keep">{{ row.unit }}</td>{% for cell in row.cells(load.contacts) %}<td class="num">{{ cell|replace("-", "−") }}</td>{% endfor %}</tr>
 {% endfor %}
@@ -46,4 +46,5 @@ def load_section(page: Page) -> dict[str, Any] | None:
     if not found.rows:
         return None
     note = footnote(row.metric.title for row in found.rows)
-    return {"load": found, "nursing": nursing_rows(page.judged, page.protocol), "note": note}
+    trials = page.trials if page.unjudged else ""
+    return {"load": found, "trials": trials, "nursing": nursing_rows(page.judged, page.protocol), "note": note}

@@ -7,9 +7,9 @@ from typing import Any
 
 from carecontact.errors import counted
 from carecontact.protocols.frozen_state import frozen_state
-from carecontact.recording.arithmetic import ARITHMETIC
 from carecontact.recording.schema import Header, Recording
 from carecontact.reports.page.section import Kept, Page, section
+from carecontact.runs.pooling import PROVENANCE, machines
 from carecontact.scoring.result import TrialScore
 
 FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")
@@ -33,20 +33,18 @@ TEMPLATE = """\
 
 
 def _keep_wall(score: TrialScore, recording: Recording, kept: Kept) -> None:
-    text = recording[ARITHMETIC].tobytes().decode(errors="replace") if ARITHMETIC in recording.arrays else NOT_RECORDED
-    kept[score.trial_id] = {"pace": recording[PACE].tolist() if PACE in recording.arrays else None, "arithmetic": text}
+    kept[score.trial_id] = recording[PACE].tolist() if PACE in recording.arrays else None
 
 
 @section("provenance", order=140, template=TEMPLATE, keep=_keep_wall)
 def provenance(page: Page) -> dict[str, Any]:
-    wall = list(page.kept.get("provenance", {}).values())
     return {
         "n": len(page.judged),
         "read": len(page.headers),
         "provenance": [
             *provenance_rows(page.judged or page.scores, list(page.headers.values())),
-            ("Arithmetic", _distinct(kept["arithmetic"] for kept in wall)),
-            *_pace([kept["pace"] for kept in wall]),
+            *((title.capitalize(), _distinct(machines(page.scores, name))) for name, title in PROVENANCE.items()),
+            *_pace(list(page.kept.get("provenance", {}).values())),
         ],
     }
 

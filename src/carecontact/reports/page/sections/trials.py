@@ -25,7 +25,7 @@ NEAR_LIMIT = 0.5
 TEMPLATE = """\
 <section id="trials">
 <h2>Trial by trial</h2>
-<p class="note">{% if n == 1 %}The only trial.{% else %}All {{ n }} trials.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.{% if not pages %} For the page of a trial, run <span class="keep">carecontact report TRIAL.h5</span>, or <span class="keep">carecontact report DIR --trials</span> for all of them.{% endif %}</p>
+<p class="note">{% if n == 1 %}The only trial.{% else %}{% if unknown %}{{ trials }}{% else %}All {{ trials }}{% endif %}.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.{% if not pages %} For the page of a trial, run <span class="keep">carecontact report TRIAL.h5</span>, or <span class="keep">carecontact report DIR --trials</span> for all of them.{% endif %}</p>
 <form class="filter" id="filter" hidden>
 <label>Task <select id="filter-task"><option value="">all</option>{% for task in tasks %}<option>{{ task }}</option>{% endfor %}</select></label>
 <label>Result <select id="filter-result"><option value="">all</option>{% for result in results %}<option>{{ result }}</option>{% endfor %}</select></label>
@@ -84,6 +84,8 @@ def trials(page: Page) -> dict[str, Any] | None:
     rows = [trial_row(score, page.protocol, links=page.links) for score in page.judged]
     return {
         "n": len(page.judged),
+        "trials": page.trials,
+        "unknown": len(page.unjudged),
         "details": rows,
         "labels": [metric.label for metric in headlines()],
         "tasks": sorted({row.task_id for row in rows}),

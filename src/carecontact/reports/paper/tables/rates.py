@@ -8,6 +8,7 @@ from carecontact.reports.compare.outcomes import RATES
 from carecontact.reports.intervals import SEEDS_FOR_INTERVAL, enough_seeds
 from carecontact.reports.paper.method import Method
 from carecontact.reports.paper.table import ABSENT, Table
+from carecontact.runs.pooling import rejected_text
 from carecontact.stats import wilson_interval
 
 Rate = tuple[float, float | None, float | None]
@@ -39,9 +40,9 @@ def rates(methods: Sequence[Method], *, note: str | None = None) -> Table:
         head=("Method", *head),
         rows=tuple(rows),
         notes=(
-            "Each rate counts all trials except those in which the harness failed. A method with fewer than "
+            "Each rate counts all planned trials. A method with fewer than "
             f"{SEEDS_FOR_INTERVAL} seeds has no intervals.",
-            *filter(None, [note]),
+            *filter(None, [note, *sorted({rejected_text(method.scores) for method in methods})]),
         ),
         numbers=(NUMBERS, *numbers),
     )

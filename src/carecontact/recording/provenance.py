@@ -1,13 +1,30 @@
-"""What rounds the numbers of a trial, besides the processor's own arithmetic, which is the same on a family of them."""
+"""What computed and drew a trial: it decides the last bits of the numbers and the pictures, and no comparison."""
 
 from __future__ import annotations
 
 import platform
 from typing import cast
 
+from carecontact.recording.schema import Recording
+
 ARITHMETIC = "wall/arithmetic"
 """Array of a recording with the text as UTF-8. It lies outside the canonical hash, because other libraries that round
 alike make the same recording."""
+
+RENDERER = "wall/renderer"
+"""Array with vendor, renderer and version of OpenGL as UTF-8: two renderers draw slightly different pictures."""
+
+
+def provenance_of(recording: Recording) -> dict[str, str]:
+    """Return ``arithmetic`` and ``renderer``, as far as recorded, and the hashes of the compiled ``model`` and of the
+    ``kernel``'s binary."""
+    texts = {"arithmetic": ARITHMETIC, "renderer": RENDERER}
+    found = {
+        name: recording[path].tobytes().decode(errors="replace") for name, path in texts.items() if path in recording
+    }
+    return found | {
+        name: recording.header.sha256[name] for name in ("model", "kernel") if name in recording.header.sha256
+    }
 
 
 def arithmetic() -> str:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carecontact.recording.arithmetic import arithmetic
+from carecontact.recording.provenance import arithmetic
 
 
 def row(api: str, package: str, **facts: str) -> dict[str, Any]:
