@@ -93,7 +93,7 @@ def read_trials(paths: Path | Sequence[Path], *, region: str, setup: Setup | Non
 
 
 def regions_of(paths: Path | Sequence[Path], setup: Setup, *, valid: Sequence[str]) -> tuple[str, ...]:
-    """Return those valid regions that the sites of the files begin with. Raises ConfigError if there are none."""
+    """Return the valid regions that occur at the start of a site in the files. Raises ConfigError if none does."""
     files = _columns(paths, setup, region=None)
     sites = {_plain(str(site)) for columns in files for site in set(columns.text["site"])}
     found = tuple(name for name in valid if any(site.startswith(name) for site in sites))

@@ -166,7 +166,7 @@ def rejected_text(scores: Iterable[TrialScore]) -> str:
 
 
 def mixed(scores: Sequence[TrialScore]) -> str:
-    """Return a sentence for a run whose trials were computed or drawn by different machines; empty for one machine."""
+    """Return a sentence for a run whose trials do not all name one machine; empty for one machine."""
     found = {title: values for name, title in PROVENANCE.items() if len(values := machines(scores, name)) > 1}
     told = "; ".join(f"{title}: {' and '.join(values)}" for title, values in found.items())
-    return f"The trials of this run were computed or drawn by different machines ({told}); {EFFECT}." if told else ""
+    return f"The trials of this run may come from different machines ({told}); {EFFECT}." if told else ""

@@ -103,7 +103,7 @@ def machines_text(runs: Mapping[str, Sequence[TrialScore]]) -> str:
             names.setdefault(" and ".join(machines(judged(scores), part)), []).append(name)
         if len(names) > 1:
             parts.append(f"{title} {', '.join(f'{value} ({listed(held)})' for value, held in names.items())}")
-    return f"computed or drawn by different machines: {'; '.join(parts)}; {EFFECT}" if parts else ""
+    return f"These runs may come from different machines: {'; '.join(parts)}; {EFFECT}" if parts else ""
 
 
 def trials_by_key(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialScore]:
