@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ from pydantic import ValidationError
 from carecontact.contract.protocol import Gates
 from carecontact.recording import Recording
 from carecontact.scoring import METRICS, TrialScore, score_recording
-from carecontact.scoring.axis_passes import wiping
+from carecontact.scoring.axis_passes import Wiping, wiping
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate_sweep import own_value, protocol_sweeps
+from carecontact.scoring.held_force import held_force
+from carecontact.scoring.progress import Track
 from tests.scoring.gates_v2 import GENTLE, TABLE
 from tests.scoring.synthetic import (
     F64,
@@ -57,7 +60,6 @@ def test_a_hard_touch_is_told_so() -> None:
         targets_in_region=[(0.1, (0.0, 0.0, SIZE["forearm"][2] - 0.02))],
     )  # fmt: skip
     score = score_recording(commanded)
-    assert score.evidence is not None
     assert "the longest hold with 1 to 6 N was 0.04 s of 1 s; the longest contact was 2.4" in score.evidence
     assert score.evidence.endswith("median 9.0 N.")
 
@@ -113,6 +115,20 @@ def test_a_swing_passes_each_place_once_in_each_direction(amplitude: float, peri
     assert not counts[: middle - half - 6].any()
 
 
+def test_a_stroke_passes_each_part_between_its_ends_once() -> None:
+    axis, on = np.array([-0.05, 0.0, 0.05, -0.05]), np.ones(4, np.bool_)
+    track = Track(step=np.arange(4), surface=np.stack([axis, 0 * axis], axis=1), on=on, joined=on[1:])
+    for length_m, passed in ((0.24, np.repeat([0, 2, 0], [70, 100, 70])), (0.08, np.full(80, 2))):
+        made = Wiping(track=track, force=np.full(4, 4.0), length_m=length_m, reversal_m=0.01, moving=on[1:])
+        assert np.array_equal(made.passes(1.0), passed)
+
+
+def test_the_held_force_is_the_mean_of_a_tenth_of_a_second_around_each_step() -> None:
+    force = np.random.default_rng(4).uniform(0.0, 9.0, 1500)
+    found = held_force(replace(find_contact(touch()), neighbourhood_force=force))
+    np.testing.assert_allclose(found, [force[max(i - 25, 0) : i + 26].mean() for i in range(1500)], atol=1e-6)
+
+
 def test_trembling_on_a_place_is_no_wiping() -> None:
     fast = back_and_forth(4.0, "forearm", amplitude=0.004, period=0.5)
     slow = back_and_forth(4.0, "forearm", amplitude=0.05, period=8.0)
@@ -141,7 +157,6 @@ def test_a_light_scrub_and_a_hard_one_are_outside_of_the_band() -> None:
         recording = wiped(0.05, force=force, targets_in_region=[(0.1, (0.0, 0.0, SIZE["forearm"][2] - 0.02))])
         score = score_recording(recording)
         assert score.failure_mode == "outside_band"
-        assert score.evidence is not None
         assert words in score.evidence
     assert score_recording(wiped(0.02)).failure_mode == "insufficient_progress"
 
@@ -165,14 +180,22 @@ def pushed(way: F64, *, force: F64 | None = None, duration: float = 6.0) -> Tria
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("way", "mode"), [(0.03, None), (0.019, "insufficient_progress"), (0.105, "outside_band")])
-def test_a_push_has_a_least_and_a_most_way(way: float, mode: str | None) -> None:
+@pytest.mark.parametrize(
+    ("way", "force", "length", "mode"),
+    [
+        (0.03, 8.0, 2.0, None), (0.019, 8.0, 2.0, "insufficient_progress"), (0.105, 8.0, 2.0, "outside_band"),
+        (0.03, 3.1, 1.05, None), (0.03, 2.9, 2.0, "insufficient_progress"), (0.03, 8.0, 0.6, "lost_contact"),
+        (0.03, 8.0, 0.4, "insufficient_progress"),
+    ],
+)  # fmt: skip
+def test_a_push_has_a_least_and_a_most_way_a_force_and_a_time(
+    way: float, force: float, length: float, mode: str | None
+) -> None:
     t = seconds(6.0)
-    score = pushed(way * np.clip(t - 3.2, 0, 1))
+    score = pushed(way * np.clip((t - 3.1) / 0.2, 0, 1), force=hold(6.0, 3.0, 3.0 + length, force))
     assert score.failure_mode == mode
     assert score.additional["wrist_from_onset@1"] == pytest.approx(way, abs=1e-4)
-    if mode:
-        assert score.evidence is not None
+    if mode in ("insufficient_progress", "outside_band"):
         assert f"the wrist moved {way * 1000:.0f} mm, where 20 mm to 100 mm are required" in score.evidence
 
 
@@ -233,7 +256,7 @@ def test_the_gates_own_values_are_among_those_of_their_sweeps() -> None:
     [
         (touch(3.0), 0.0), (make_recording("T1", normal={"right_forearm": hold(3.0, 0.5, 2.5, 3.0)}), 1.0),
         (make_recording("T1", normal={"right_forearm": hold(3.0, 0.5, 2.5, 5.0)}), 0.0),
-        (push(8.0, 0.05), 1.0), (push(8.0, 0.07), 0.0), (wiped(0.05, protocol=PROTOCOL), 1.0),
+        (push(8.0, 0.05), 1.0), (push(8.0, 0.07), 0.0), (wiped(0.05, periods=1.75, force=1.2, protocol=PROTOCOL), 1.0),
         (wiped(0.035, protocol=PROTOCOL), 0.0),
     ],
 )  # fmt: skip
@@ -254,8 +277,8 @@ def test_nothing_touched_is_na_and_no_pass() -> None:
 @pytest.mark.parametrize(
     ("action", "change", "words"),
     [
-        ("touch", {"most_n": 0.5}, "least_n 1 has to be below most_n 0.5"),
-        ("push", {"most_wrist_m": 0.01}, "least_wrist_m 0.02 has to be below most_wrist_m 0.01"),
+        ("touch", {"most_n": 1.0}, "least_n 1 has to be below most_n 1"),
+        ("push", {"most_wrist_m": 0.02}, "least_wrist_m 0.02 has to be below most_wrist_m 0.02"),
         ("scrub", {"stroke_m": 0.1}, "Extra inputs"),
     ],
 )

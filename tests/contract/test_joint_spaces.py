@@ -99,3 +99,8 @@ def test_velocities_of_any_size_pass_because_the_controller_scales_them() -> Non
 def test_a_compliance_out_of_bounds_is_named(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ActionError, match=message):
         ACTION_SPACES["cartesian_pose"].check(Action(**given), SESSION)
+
+
+def test_a_single_axis_may_be_free() -> None:
+    free = (400.0, 0.0, 400.0, 0.0, 20.0, 20.0)
+    assert ACTION_SPACES["cartesian_pose"].check(Action(stiffness=free), SESSION).stiffness == free

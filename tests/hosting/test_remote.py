@@ -403,6 +403,8 @@ def test_an_observation_arrives_whole(tmp_path: Path) -> None:
     [
         ("raise", "died", "raised an exception (close code 1011): see its own output"),
         ("return", "died", "closed the connection without an answer (close code 1000)"),
+        ("1001", "died", "closed the connection without an answer (close code 1001)"),
+        ("1012", "died", "closed the connection without an answer (close code 1012)"),
         ("small", "oversize", "refused a message of {} bytes (close code 1009): raise its limit"),
     ],
 )
@@ -414,6 +416,8 @@ def test_how_a_server_closed_the_connection_is_told_by_its_code(
         connection.recv()
         if end == "raise":
             raise ValueError("a bug")
+        if end.isdecimal():
+            connection.close(int(end))
         if end == "small":
             connection.send(pack({"type": "ready"}))
             connection.recv()
@@ -428,3 +432,4 @@ def test_how_a_server_closed_the_connection_is_told_by_its_code(
             policy.act(observation) if end == "small" else policy.reset("touch", SESSION)
     assert caught.value.kind == kind
     assert says.format(len(act_message(observation))) in str(caught.value)
+    assert isinstance(caught.value, LostError) is end.isdecimal(), "who goes away or restarts has not failed yet"

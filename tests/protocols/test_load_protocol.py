@@ -62,6 +62,13 @@ def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Pa
     )
 
 
+def test_two_fields_that_a_file_leaves_out_share_a_line_and_one_is_told_alone(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"mine\.toml: add base = .* 2 are missing: id, description$"):
+        load_protocol(written(tmp_path, TEXT.replace("id = ", "# ", 1).replace("\ndescription = ", "\n# ", 1)))
+    with pytest.raises(ConfigError, match=r"mine\.toml: description: missing; give it a value$"):
+        load_protocol(written(tmp_path, without_field("description")))
+
+
 def test_a_misspelt_base_is_the_only_fault_of_its_file(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"^.*mine\.toml: bsae: no such field .* \(did you mean 'base'\?\); valid: base, "
@@ -143,10 +150,16 @@ def test_hash_changes_with_a_prompt(tmp_path: Path) -> None:
     assert other.sha256 != load_protocol().sha256
 
 
-def test_a_file_does_not_claim_overrides(tmp_path: Path) -> None:
-    path = written(tmp_path, f'{TEXT}\n[overrides]\n"person.body" = "man-old-light"\n')
-    with pytest.raises(ConfigError, match="overrides are written by a command"):
-        load_protocol(path)
+@pytest.mark.parametrize(
+    ("claimed", "told"),
+    [
+        ('overrides = {"person.body" = "man-old-light"}', "overrides are written by a command"),
+        ('level = "L1"', r"a file has the tables \[levels\.NAME\], and who loads it chooses one"),
+    ],
+)
+def test_a_file_does_not_claim_what_a_command_decides(claimed: str, told: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=told):
+        load_protocol(written(tmp_path, f"{claimed}\n{TEXT}"))
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,14 @@ def test_a_wrong_path_or_value_names_what_is_valid(changes: dict[str, str], mess
         overridden(PROTOCOL, changes)
 
 
+def test_a_tissue_set_without_a_row_that_the_protocol_needs_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = load_tissue_set("human-published")
+    part = whole.model_copy(update={"tissue": {"forearm": whole.tissue["forearm"]}})
+    monkeypatch.setattr("carecontact.protocols.overrides.load_tissue_set", lambda *names: part)
+    with pytest.raises(ConfigError, match="tissue set mine: no row for upper_arm, abdomen, which bathing-v2 needs"):
+        overridden(PROTOCOL, {"person.tissue_set": "mine"})
+
+
 def test_a_tissue_set_that_does_not_exist_lists_those_that_do() -> None:
     with pytest.raises(UnknownNameError, match=r"no tissue set named 'skin'; valid: .*human-published"):
         overridden(PROTOCOL, {"person.tissue_set": "skin"})

@@ -23,6 +23,7 @@ def test_odd_values_keep_their_type() -> None:
         "mixed": [{"a": 1}, 2],
     }  # fmt: skip
     assert tomllib.loads(toml_text(table)) == table
+    assert toml_text(table).count("[[list]]") == 2, "a list of tables has a head for each"
 
 
 def test_a_file_with_a_base_comes_out_as_the_same_protocol(tmp_path: Path) -> None:

@@ -56,10 +56,13 @@ def test_valid_ratio_is_coverage_and_not_success() -> None:
 
 def test_gamma_sweep_counts_what_each_discount_lets_through() -> None:
     """5, 40 and 120 N of 100 N, all region-correct."""
-    rows = {row["gamma"]: row["safety_gated"] for row in gamma_sweep(EVERYTHING)}
-    assert (rows[0.2], rows[0.39], rows[0.4], rows[1.0]) == (1, 1, 2, 2)
-    assert list(rows) == list(GAMMAS)
-    assert gamma_sweep([])[0] == {"gamma": 0.2, "safety_gated": 0, "pc": None}
+    rows = gamma_sweep(EVERYTHING)
+    counts = {row["gamma"]: row["safety_gated"] for row in rows}
+    assert (counts[0.2], counts[0.39], counts[0.4], counts[1.0]) == (1, 1, 2, 2)
+    assert list(counts) == list(GAMMAS)
+    assert all(row["pc"] == 100 * row["safety_gated"] / len(EVERYTHING) for row in rows)
+    assert gamma_sweep([])[0] == gamma_sweep([], unknown=1)[0] == {"gamma": 0.2, "safety_gated": 0, "pc": None}
+    assert {row["pc"] for row in gamma_sweep(EVERYTHING, unknown=1)} == {None}
 
 
 @settings(max_examples=20, deadline=None)

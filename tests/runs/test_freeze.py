@@ -14,7 +14,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol, protocol_file
 from carecontact.protocols.lock import Lock, lock_path, read_lock, write_lock
 from carecontact.runs import freeze
-from carecontact.runs.freeze import check_frozen, drift, make_lock
+from carecontact.runs.freeze import check_frozen, drift, lock_of, make_lock
 from tests.protocols.held import frozen_text, ship_frozen
 
 
@@ -161,8 +161,11 @@ def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, sh
         check_frozen(str(path), load_protocol(str(path)), unfrozen=False)
 
 
-def test_a_lock_holds_a_world_of_every_body_and_region() -> None:
+def test_a_level_has_a_lock_of_its_own_that_holds_a_world_of_every_body_and_region() -> None:
     varied = load_protocol("bathing-wide-v1", level="L3")
+    lock = lock_of("bathing-wide-v1", varied)
+    assert lock is not None
+    assert lock == read_lock("bathing-wide-v1", level="L3")
     worlds = freeze.worlds_of(varied)
     assert [rules.person.body for rules, _ in worlds.values()] == list(varied.variation.bodies)
     assert {region for _, region in worlds.values()} == set(varied.regions)

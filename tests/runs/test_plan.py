@@ -59,7 +59,9 @@ def test_plan_is_seed_by_seed_and_carries_the_protocol() -> None:
 @given(st.sets(st.integers(0, 60), min_size=1))
 def test_compact_says_each_number_once(numbers: set[int]) -> None:
     said: list[int] = []
-    for part in compact(numbers).split(", "):
+    parts = compact(numbers).split(", ")
+    for part in parts:
         low, _, high = part.partition("-")
         said += range(int(low), int(high or low) + 1)
     assert said == sorted(numbers)
+    assert len(parts) == sum(number - 1 not in numbers for number in numbers), "each run of numbers is one part"

@@ -7,7 +7,8 @@ from pathlib import Path
 import h5py
 import pytest
 
-from carecontact.recording import write_recording
+from carecontact.recording import Failure, write_recording
+from carecontact.recording.schema import KILLED, POLICY_KILLED
 from carecontact.runs import score_run, write_scores
 from carecontact.runs.identity import Identity
 from carecontact.runs.manifest import Survey, survey
@@ -42,6 +43,22 @@ def test_whole_files_are_kept_and_cut_ones_run_again(folder: Path) -> None:
     found = surveyed(folder)
     assert found.keep == {"T1-s000": "done"}
     assert "T1-s001.h5: not a readable HDF5 file" in found.redo["T1-s001"]
+
+
+@pytest.mark.parametrize(
+    ("ended", "kind", "again", "killed"),
+    [
+        ("harness_error", "settle", True, False), ("harness_error", KILLED, True, True),
+        ("process_failure", POLICY_KILLED, True, True), ("process_failure", "died", False, False),
+    ],
+)  # fmt: skip
+def test_what_the_machine_caused_runs_again_and_what_the_policy_caused_is_kept(
+    folder: Path, ended: str, kind: str, again: bool, killed: bool
+) -> None:
+    failed = touch(seed=1, ended=ended, failure=Failure(kind=kind, message="no reason"))
+    write_recording(failed, folder / "T1-s001.h5")
+    found = surveyed(folder)
+    assert ("T1-s001" in found.redo, "T1-s001" in found.killed) == (again, killed)
 
 
 def test_a_copy_of_another_trial_runs_again(folder: Path) -> None:

@@ -123,6 +123,8 @@ def test_neighbourhood_holds_across_segments() -> None:
 
 def test_steps_are_not_rounded_up_by_binary_fractions() -> None:
     assert [steps(s, DT) for s in (0.5, 1.0, 0.05, 0.051)] == [250, 500, 25, 26]
+    assert 0.035 / 0.005 > 7
+    assert steps(0.035, 0.005) == 7
     assert len(seconds(3.0)) == 1500
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import score_recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.c3_success import judge
-from carecontact.scoring.progress import count_reversals, measure_episodes
+from carecontact.scoring.progress import count_reversals, measure_episodes, surface_track
 from carecontact.scoring.verdict import reach_verdict
 from tests.scoring.synthetic import back_and_forth, hold, make_recording, push, scrub, seconds, touch
 
@@ -147,12 +148,18 @@ def test_a_good_scrub_and_a_stray_touch_is_a_good_scrub() -> None:
     assert score_recording(contact.recording).c3_success
 
 
+def test_samples_are_joined_where_every_step_between_them_is_on() -> None:
+    on = np.random.default_rng(1).random(1500) < 0.9
+    track = surface_track(replace(find_contact(make_recording("T3")), neighbourhood_on=on))
+    assert track.joined.any()
+    assert track.joined.tolist() == [on[a : b + 1].all() for a, b in pairwise(track.step)]
+
+
 def test_scrub_needs_its_share_of_contact() -> None:
     t = seconds(6.0)
     half_on = np.where((t > 1.0) & (t < 5.0) & (t % 0.5 < 0.25), 5.0, 0.0)
     path = back_and_forth(6.0, "forearm", amplitude=0.06, period=2.0)
     score = score_recording(make_recording("T3", duration=6.0, normal={"right_forearm": half_on}, tcp_in_region=path))
-    assert score.on_share is not None
     assert 0.4 < score.on_share < 0.7
     assert not score.c3_success
 

@@ -110,7 +110,6 @@ def test_process_failure_comes_first() -> None:
 def test_harness_error_is_told_from_the_policy() -> None:
     score = score_recording(before_start("harness_error"))
     assert score.failure_mode == "process_failure"
-    assert score.evidence is not None
     assert "harness failed, not the policy" in score.evidence
 
 
@@ -122,7 +121,6 @@ def test_safety_truncation_names_segment_and_force() -> None:
     assert score.evidence is not None
     assert re.search(r"130\.0 N on the right_hand at 2\.90\d s, 2\.17 times its pain limit of 60 N", score.evidence)
     quiet = score_recording(make_recording("T1", ended="safety_truncation"))
-    assert quiet.evidence is not None
     assert "by the solver" in quiet.evidence
 
 
@@ -132,7 +130,6 @@ def test_a_trial_cut_by_its_force_can_succeed_and_one_cut_by_the_solver_cannot(
     make: Callable[..., Recording], force: float, cut_by: str
 ) -> None:
     recording = make(force=force, ended="safety_truncation")
-    assert recording.header.failure is not None
     assert recording.header.failure.kind == cut_by
     score = score_recording(recording)
     assert score.c3_success == score.region_correct == (cut_by == "force")
@@ -157,7 +154,7 @@ def test_a_cut_trial_is_gated_at_no_discount_though_its_knock_was_too_short_to_c
     assert {row["safety_gated"] for row in gamma_sweep([score])} == {0}
 
 
-NEAR, INSIDE = (0.0, 0.0, 0.055), (0.0, 0.0, 0.03)
+INSIDE = (0.0, 0.0, 0.03)
 
 
 def test_off_target_contact() -> None:
@@ -177,31 +174,19 @@ def test_wrong_share() -> None:
     assert score.region_share == pytest.approx(0.189, abs=0.01)
 
 
-@pytest.mark.parametrize(("at_loss", "expected"), [(INSIDE, "execution"), (NEAR, "planning")])
-def test_lost_contact(at_loss: tuple, expected: str) -> None:
-    recording = make_recording(
-        "T1",
-        normal={"right_forearm": hold(3.0, 1.0, 1.35, 5.0)},
-        targets_in_region=[(0.1, INSIDE), (1.2, at_loss)],
-    )
-    assert mode(recording) == ("lost_contact", expected)
-
-
-def test_a_tap_is_insufficient_or_out_of_time() -> None:
-    tap = {"right_forearm": hold(3.0, 1.0, 1.1, 5.0)}
-    assert mode(make_recording("T1", normal=tap))[0] == "insufficient_progress"
-    assert mode(make_recording("T1", normal=tap, ended="time_limit"))[0] == "time_limit"
-
-
-def test_contact_is_lost_only_after_half_of_the_hold() -> None:
-    for held, expected in ((0.29, "lost_contact"), (0.2, "insufficient_progress")):
-        recording = make_recording("T1", normal={"right_forearm": hold(3.0, 1.0, 1.0 + held, 5.0)})
-        assert mode(recording)[0] == expected
-
-
-def test_a_late_hold_is_cut_by_the_clock() -> None:
-    late = {"right_forearm": hold(3.0, 2.6, 3.0, 5.0)}
-    assert mode(make_recording("T1", normal=late, ended="time_limit"))[0] == "time_limit"
+@pytest.mark.parametrize(
+    ("start", "held", "ended", "expected"),
+    [
+        (1.0, 0.1, "done", "insufficient_progress"), (1.0, 0.1, "time_limit", "time_limit"),
+        (1.0, 0.2, "done", "insufficient_progress"), (1.0, 0.29, "done", "lost_contact"),
+        (2.6, 0.4, "time_limit", "time_limit"),
+    ],
+)  # fmt: skip
+def test_a_short_touch_was_lost_after_half_of_the_hold_and_else_too_little_or_too_late(
+    start: float, held: float, ended: str, expected: str
+) -> None:
+    force = {"right_forearm": hold(3.0, start, start + held, 5.0)}
+    assert mode(make_recording("T1", normal=force, ended=ended))[0] == expected
 
 
 def test_insufficient_progress() -> None:
@@ -209,7 +194,6 @@ def test_insufficient_progress() -> None:
     assert mode(push(shift=0.01, ended="time_limit"))[0] == "insufficient_progress"
     score = score_recording(scrub(amplitude=0.0, targets_in_region=[(0.1, INSIDE)]))
     assert (score.failure_mode, score.attribution) == ("insufficient_progress", "planning")
-    assert score.evidence is not None
     moved = "the tool moved 0 mm along the skin (100 mm needed), covered 0 mm (50 mm), had 0 reversals (1), and"
     assert moved in score.evidence
 
@@ -240,7 +224,6 @@ def scrub_partly_elsewhere(on_target: tuple[float, float]) -> Recording:
 
 def test_a_scrub_beside_the_target_did_not_lose_it() -> None:
     score = score_recording(scrub_partly_elsewhere((1.0, 1.05)))
-    assert score.on_share is not None
     assert score.on_share > 0.35
     assert score.anatomy == "target"
     assert score.failure_mode == "insufficient_progress"

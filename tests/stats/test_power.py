@@ -49,7 +49,6 @@ def test_paired_near_the_textbook_formula() -> None:
     """Connor 1987 by the normal approximation: n d^2 = (z_a sqrt(psi) + z_b sqrt(psi - d^2))^2."""
     n, psi = 2000, 0.4
     found = paired_detectable_difference(n=n, discordance=psi).difference
-    assert found is not None
     normal = (1.959964 * psi**0.5 + 0.841621 * (psi - found**2) ** 0.5) / n**0.5
     assert found == pytest.approx(normal, rel=0.03)
 
@@ -62,10 +61,8 @@ def test_more_pairs_detect_more(n: int, discordance: float, alpha: float) -> Non
     strict = paired_detectable_difference(n=n, discordance=discordance, alpha=alpha / 7).difference
     if less is not None:
         assert 0 < less <= 1
-        assert more is not None
         assert more <= less
     if strict is not None:
-        assert less is not None
         assert less <= strict
 
 
@@ -80,8 +77,6 @@ def test_unpaired_edges() -> None:
     assert unpaired_detectable_difference(n1=0, n2=9, rate=0.5).difference is None
     assert unpaired_detectable_difference(n1=1, n2=1, rate=0.5).difference is None
     few, many = (unpaired_detectable_difference(n1=n, n2=n, rate=0.0).difference for n in (10, 140))
-    assert few is not None
-    assert many is not None
     assert 0 < many < few < 1
 
 
@@ -91,12 +86,12 @@ def test_from_standard_error() -> None:
 
 
 def test_refuses() -> None:
-    with pytest.raises(ValueError, match="expected"):
-        paired_detectable_difference(n=-1, discordance=0.1)
-    with pytest.raises(ValueError, match="expected"):
-        paired_detectable_difference(n=3, discordance=1.1)
-    with pytest.raises(ValueError, match="expected"):
-        unpaired_detectable_difference(n1=3, n2=3, rate=-0.1)
+    for paired in ({"n": -1, "discordance": 0.1}, {"n": 3, "discordance": 1.1}):
+        with pytest.raises(ValueError, match="expected"):
+            paired_detectable_difference(**paired)
+    for n1, n2, rate in ((3, 3, -0.1), (3, 3, 1.1), (-1, 3, 0.1), (3, -1, 0.1)):
+        with pytest.raises(ValueError, match="expected"):
+            unpaired_detectable_difference(n1=n1, n2=n2, rate=rate)
     with pytest.raises(ValueError, match="power"):
         paired_detectable_difference(n=3, discordance=0.1, power=1.0)
     with pytest.raises(ValueError, match="standard error"):

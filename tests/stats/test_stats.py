@@ -28,7 +28,6 @@ def test_fisher_gives_the_published_values(k1: int, k2: int, pvalue: str) -> Non
 def test_wilson_holds_the_estimate_and_mirrors(n: int, share: float, confidence: float) -> None:
     k = round(share * n)
     found, mirror = wilson_interval(k, n, confidence), wilson_interval(n - k, n, confidence)
-    assert found.estimate is not None
     assert 0 <= found.low <= found.estimate <= found.high <= 1
     assert found.low == pytest.approx(1 - mirror.high, abs=1e-12)
     wider = wilson_interval(k, n, (1 + confidence) / 2)

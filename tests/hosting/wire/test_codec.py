@@ -267,9 +267,17 @@ def test_a_wrong_card_is_a_handshake_failure(card: object, says: str) -> None:
     assert caught.value.kind == "handshake"
 
 
-def test_a_session_with_a_seed_is_refused() -> None:
-    with pytest.raises(ContractError, match="unknown key seed"):
-        codec.decode_session(codec.encode_session(SESSION) | {"seed": 3})
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"seed": 3}, "unknown key seed"),
+        ({"camera_sizes_px": {"wrist": [4.5, 3]}}, "camera_sizes_px.wrist: expected whole pixels"),
+        ({"camera_sizes_px": {"wrist": [4, 3.5]}}, "camera_sizes_px.wrist: expected whole pixels"),
+    ],
+)
+def test_a_wrong_session_is_refused(changed: dict[str, object], told: str) -> None:
+    with pytest.raises(ContractError, match=told):
+        codec.decode_session(codec.encode_session(SESSION) | changed)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

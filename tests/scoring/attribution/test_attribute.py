@@ -85,7 +85,6 @@ def test_nothing_touched(targets: list, extra: dict[str, Any], expected: str) ->
 def test_without_images_it_is_never_perception(targets: list) -> None:
     score = scored(*targets, modalities=())
     assert score.attribution == "planning"
-    assert score.evidence is not None
     assert score.evidence.endswith("the policy asked for no images.")
 
 
@@ -182,6 +181,25 @@ def test_a_hold_that_was_asked_for_and_not_given_is_execution(until: float, expe
     score = score_recording(make_recording("T1", normal=tap, targets_in_region=targets, extra=views()))
     assert (score.failure_mode, score.attribution) == ("insufficient_progress", expected)
     assert ("asked for 1.10 s there" in (score.evidence or "")) == (expected == "execution")
+
+
+@pytest.mark.parametrize(
+    ("taps", "up_s", "told", "expected"),
+    [
+        (1, 0.6, "lost once, while the commanded target lay above", "planning"),
+        (1, 1.6, "lost once, while the commanded target lay on or under", "execution"),
+        (2, 0.6, "lost 2 times; in 0 of them", "planning"), (2, 1.6, "lost 2 times; in 1 of them", "planning"),
+        (2, 2.8, "lost 2 times; in 2 of them", "execution"),
+    ],
+)  # fmt: skip
+def test_contact_is_lost_by_execution_where_most_losses_were_not_commanded(
+    taps: int, up_s: float, told: str, expected: str
+) -> None:
+    force = np.sum([hold(3.0, 1.0 + tap, 1.4 + tap, 5.0) for tap in range(taps)], axis=0)
+    targets = [(0.5, INSIDE), (up_s, ABOVE)]
+    score = score_recording(make_recording("T1", normal={"right_forearm": force}, targets_in_region=targets))
+    assert (score.failure_mode, score.attribution) == ("lost_contact", expected)
+    assert told in (score.evidence or "")
 
 
 @pytest.mark.parametrize(

@@ -219,12 +219,11 @@ def test_what_can_happen_is_scored() -> None:
 
 
 def test_diverged_physics_is_a_failed_trial_and_not_a_lost_one() -> None:
-    recording = touch()
-    recording["scorer/wrist_in_world"][-5:] = 500.0
+    whole, diverged = touch(), touch(ended="safety_truncation")
+    for recording in (whole, diverged):
+        recording["scorer/wrist_in_world"][-5:] = 500.0
     with pytest.raises(RecordingError, match="wrist_in_world"):
-        score_recording(recording)
-    diverged = touch(ended="safety_truncation")
-    diverged["scorer/tcp_speed"][-5:] = 500.0
+        score_recording(whole)
     assert diverged.header.failure == Failure(kind="solver", message="cut")
     scored = score_recording(diverged)
     assert (scored.c3_success, scored.region_correct, scored.safety_gated) == (False, False, False)
