@@ -3,7 +3,7 @@ BIN := .venv/bin
 # Without the compiled files of our own sources and tests, each of their many processes would compile them again.
 unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
-.PHONY: help env demo docs test lint test-slow test-grounded-sam bench wheels clean
+.PHONY: help env demo docs test lint test-slow test-grounded-sam strength bench wheels clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -30,6 +30,9 @@ test-slow: env ## run the long simulations, Ray among them (the extra cluster, 2
 test-grounded-sam: env ## test the segmenter on tiny random models, in .venv-torch (5 GB)
 	UV_PROJECT_ENVIRONMENT=.venv-torch .venv-uv/bin/uv sync --frozen --quiet --extra grounded-sam --python $(BIN)/python
 	.venv-torch/bin/python -m pytest -m torch tests/observation/test_grounded_sam.py
+
+strength: env ## plant known faults in copies of the tree and count those that the tests see (an hour on 2 cores)
+	$(BIN)/python tools/strength.py --jobs 2
 
 bench: env ## measure the speed of physics, trials and command line, as JSON
 	@$(BIN)/python benchmarks/speed.py
