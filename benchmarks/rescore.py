@@ -27,7 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the synthetic re
 from tests.scoring.synthetic import SEGMENTS, back_and_forth, make_recording, seconds, target_segment
 
 from carecontact.cli.rescoring import processes
-from carecontact.recording import Recording, canonical_hash, read_recording, write_recording
+from carecontact.recording import Recording, read_recording, write_recording
+from carecontact.recording.canonical import canonical_digest, header_json
 from carecontact.runs import score_run, write_scores
 from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
@@ -88,7 +89,7 @@ def stages(path: Path) -> dict[str, float]:
         return result
 
     recording = timed("read and verify", lambda: read_recording(path))
-    timed("of which the hash", lambda: canonical_hash(recording))
+    timed("of which the hash", lambda: canonical_digest(header_json(recording.header), recording.arrays))
     timed("check of the streams", lambda: check_streams(recording))
     contact = timed("contact", lambda: find_contact(recording))
     measures = timed("stroke and wrist", lambda: measure(contact))
@@ -96,7 +97,7 @@ def stages(path: Path) -> dict[str, float]:
     timed("gate sweep", lambda: sweep_gates(contact, measures, verdict))
     for id_ in METRICS:
         timed(f"metric {id_}", lambda id_=id_: METRICS[id_].compute(contact))
-    timed("whole score without reading", lambda: score_recording(recording, sha256="0" * 64))
+    timed("whole score without reading", lambda: score_recording(recording))
     return spent
 
 

@@ -58,6 +58,17 @@ def described_once(build_spec: Callable[..., Any]) -> Callable[..., Any]:
     return described
 
 
+@pytest.fixture(params=["", "off"], ids=["namespaces", "no namespaces"])
+def sandbox(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Whether policies run in namespaces: both kinds of systems, as far as this one grants namespaces."""
+    from carecontact.hosting.isolation.namespaces import VARIABLE, granted
+
+    monkeypatch.setenv(VARIABLE, request.param)
+    if not request.param and not granted():
+        pytest.skip("this system grants no namespaces")
+    return granted()
+
+
 @pytest.fixture
 def worlds_from_scratch(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of whether two builds agree."""

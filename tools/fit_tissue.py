@@ -8,8 +8,8 @@ The bone is held; a rigid indenter moves along the surface normal at 5 mm/s, as 
 places of the patch (carecontact.sim.bench); the law a x + b x^2 + c x^3 per area is found by least squares on the mean
 curve, with damping at three times critical. Prints the numbers of the row of the set's file under
 src/carecontact/protocols/tissue, and how far the response is from the curve at the fit's places and at others.
-``--check`` reports the shipped numbers without fitting. ``--person`` says whose contact the indenter meets; the shipped
-rows were fitted with that of person-v1.
+``--check`` reports the shipped numbers without fitting. The shipped rows were fitted with a contact layer that was
+linear, the one of release 0.1.0.
 
 b stays 0 where the curve's largest depth is less than what tools reach: there it would lower an error of 1 % that is
 within the reference's own uncertainty, and raise the force at 12 mm by half over the curve's own continuation.
@@ -32,7 +32,6 @@ from carecontact.regions import REGIONS
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.reference import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, Reference
 from carecontact.world.human.library import load_body
-from carecontact.world.human.versions import BUILDS
 
 SPEED_M_S = 0.005
 Places = list[tuple[float, float]]
@@ -141,7 +140,6 @@ def main() -> None:
     parser.add_argument("tissue_set", choices=shipped_tissue_sets())
     parser.add_argument("regions", nargs="+", choices=["forearm", "upper_arm", "abdomen"])
     parser.add_argument("--body", default="man-adult")
-    parser.add_argument("--person", choices=list(BUILDS), default="person-v1", help="version of the person")
     parser.add_argument("--check", action="store_true", help="report the shipped numbers without fitting")
     arguments = parser.parse_args()
     body, rows = load_body(arguments.body), load_tissue_set(arguments.tissue_set).tissue
@@ -150,9 +148,7 @@ def main() -> None:
         curve = CURVES.get((arguments.tissue_set, region))
         if curve is None:
             parser.error(f"{arguments.tissue_set} takes its {region} from another region; nothing to fit")
-        bench = Bench(
-            body=body, region=region, tissue=rows[region], indenter=curve.indenter, build=BUILDS[arguments.person]
-        )
+        bench = Bench(body=body, region=region, tissue=rows[region], indenter=curve.indenter)
         if not arguments.check:
             bent = (arguments.tissue_set, region) in BENT
             bench.set_law(fitted(bench, curve, PLACES[region], bent=bent))

@@ -7,10 +7,8 @@ import os
 import signal
 import struct
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
-SET_PARENT_DEATH_SIGNAL, SET_DUMPABLE, SET_CHILD_SUBREAPER = 1, 4, 36
+SET_PARENT_DEATH_SIGNAL, SET_CHILD_SUBREAPER, NO_NEW_PRIVILEGES = 1, 36, 38
 """linux/prctl.h"""
 CAPSET = {"x86_64": 126, "aarch64": 91}
 """Machine -> number of the system call."""
@@ -37,40 +35,16 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def hide_memory() -> None:
-    """Hide memory, environment and open files of this process from other processes of the same user, and forbid
-    tracing.
-
-    Root is not affected. A debugger cannot attach any more, and the process leaves no core file.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(SET_DUMPABLE, 0, 0, 0, 0)
-
-
 def drop_capabilities() -> None:
-    """Give up, permanently, what root may do beyond other users, except KEPT_CAPABILITIES.
-
-    It is permanent because a process with no_new_privs gains nothing by starting another program.
-    """
-    number = CAPSET.get(os.uname().machine) if sys.platform == "linux" else None
-    if number is not None and os.geteuid() == 0:
-        header = struct.pack("=Ii", CAPABILITY_VERSION, 0)
-        sets = struct.pack("=6I", KEPT_CAPABILITIES, KEPT_CAPABILITIES, 0, 0, 0, 0)
-        ctypes.CDLL(None).syscall(number, header, sets)
-
-
-def hide_options(arguments: Sequence[str]) -> None:
-    """Erase the options of this process from /proc, where every user can read command lines: options name tasks and
-    seeds.
-
-    ``arguments``: the end of this process's command line.
+    """Give up, permanently, what root may do beyond other users, except KEPT_CAPABILITIES, and what another user may do
+    in a namespace of its own.
     """
     if sys.platform != "linux":
         return
-    first = next((n for n, argument in enumerate(arguments) if argument.startswith("-")), len(arguments))
-    hidden = b"".join(os.fsencode(argument) + b"\0" for argument in arguments[first:])
-    if hidden and Path("/proc/self/cmdline").read_bytes().endswith(hidden):
-        # proc(5): field 49 is the end of the arguments in memory; the first field after the name is the third.
-        end = int(Path("/proc/self/stat").read_text(errors="replace").rpartition(")")[2].split()[46])
-        if end > len(hidden):
-            ctypes.memset(end - len(hidden), 0, len(hidden))
+    libc, number = ctypes.CDLL(None), CAPSET.get(os.uname().machine)
+    # Then nothing is gained by starting another program.
+    libc.prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+    if number is not None:
+        left = KEPT_CAPABILITIES if os.geteuid() == 0 else 0
+        header = struct.pack("=Ii", CAPABILITY_VERSION, 0)
+        libc.syscall(number, header, struct.pack("=6I", left, left, 0, 0, 0, 0))

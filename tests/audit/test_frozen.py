@@ -12,7 +12,8 @@ from carecontact.world.scene import build_scene
 
 
 @pytest.mark.parametrize(
-    ("protocol", "level"), [("bathing-v2", None), ("bathing-wide-v1", "L3"), ("bathing-wide-v2-draft", "L3")]
+    ("protocol", "level"),
+    [("bathing-v3-draft", None), ("bathing-wide-v2-draft", "L3")],
 )
 def test_the_compiled_tissue_takes_every_scrambled_model(protocol: str, level: str | None) -> None:
     model = build_scene(load_protocol(protocol, level=level), target="forearm", skin=False).model

@@ -35,7 +35,7 @@ from carecontact.sim.simulation import Simulation
 OVERHEAD = "observation.cameras.overhead"
 
 
-LONG = load_protocol("bathing-wide-v1", level="L3")
+LONG = load_protocol("bathing-wide-v2-draft", level="L3")
 SHORT = LONG.model_copy(update={"phases": LONG.phases.model_copy(update={"time_limit_s": 0.1})})
 SPEC = TrialSpec(protocol=SHORT, task_id="T1", seed=1, policy="hover", salt="5a" * 32)
 

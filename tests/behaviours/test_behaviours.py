@@ -19,22 +19,22 @@ from carecontact.scoring.behaviour import actions_that_move, behaviour_of
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate import Attempt
 from carecontact.scoring.metrics.c3_success import judge
-from tests.scoring.gates_v2 import GENTLE
+from tests.scoring.exam_gates import GENTLE
 from tests.scoring.synthetic import make_recording, push, scrub, touch
 
 PROTOCOL = load_protocol()
-VERSIONS = ("gates-v1", "gates-v2")
+GATES = ("paper", "exam")
 GOOD = {"touch": touch, "push": push, "scrub": scrub}
 PROGRESS = {
     "touch": (r"touched for 1\.\d+ s", r"touched for 1\.\d+ s, 1\.\d+ s of it gently"),
     "push": (r"wrist moved \d+ mm, pressed for \d\.\d+ s", r"wrist moved \d+ mm from where .*, pressed for .*"),
     "scrub": (r"stroke \d+ mm, extent \d+ mm, \d reversals", r"\d+ mm passed three times, \d+% of the sliding gently"),
 }
-"""Action -> what a progress line says of a good trial under gates-v1 and gates-v2."""
+"""Action -> what a progress line says of a good trial under the gates of the paper and of the exam."""
 ASKED = {
     "touch": {"hold_s": 1.0}, "push": {"hold_s": 1.0, "way_m": 0.02}, "scrub": {"extent_m": 0.06, "reversals": 2},
 }  # fmt: skip
-"""Action -> the commanded contact that is just enough for gates-v2."""
+"""Action -> the commanded contact that is just enough for the exam."""
 
 
 def test_one_file_each_registers_the_shipped_actions() -> None:
@@ -43,10 +43,10 @@ def test_one_file_each_registers_the_shipped_actions() -> None:
     assert not actions_that_move() & {"touch", "scrub"}
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("gates", GATES)
 @pytest.mark.parametrize("action", sorted(BEHAVIOURS))
-def test_sweeps_move_fields_of_the_gate(action: str, version: str) -> None:
-    behaviour = behaviour_of(action, version)
+def test_sweeps_move_fields_of_the_gate(action: str, gates: str) -> None:
+    behaviour = behaviour_of(action, gates)
     assert issubclass(behaviour.gate, Section)
     for sweep in behaviour.sweeps:
         assert sweep.field in behaviour.gate.model_fields
@@ -54,12 +54,12 @@ def test_sweeps_move_fields_of_the_gate(action: str, version: str) -> None:
         assert sorted(sweep.values) == list(sweep.values)
 
 
-@pytest.mark.parametrize("protocol", [PROTOCOL, GENTLE], ids=lambda protocol: protocol.gates.version)
+@pytest.mark.parametrize("protocol", [PROTOCOL, GENTLE], ids=lambda protocol: protocol.gates.set)
 @pytest.mark.parametrize("action", sorted(GOOD))
 def test_a_good_trial_passes_and_an_empty_one_is_told_what_is_missing(action: str, protocol: Protocol) -> None:
     score = score_recording(GOOD[action](protocol=protocol))
     assert score.c3_success
-    behaviour = behaviour_of(action, protocol.gates.version)
+    behaviour = behaviour_of(action, protocol.gates.set)
     assert re.fullmatch(PROGRESS[action][protocol is GENTLE], behaviour.progress(score))
     task = next(task.id for task in PROTOCOL.tasks if task.action == action)
     contact = find_contact(make_recording(task, protocol=protocol))
@@ -73,12 +73,12 @@ def test_a_hold_of_just_the_required_time_is_enough(action: str) -> None:
     contact, gate = find_contact(GOOD[action](protocol=GENTLE)), GENTLE.gates.of(action)
     for held, enough in ((500, True), (499, False)):
         attempt = Attempt(held_steps=held, best=None, wrist_m=0.0, wrist_any_m=0.0)
-        assert behaviour_of(action, GENTLE.gates.version).judge(contact, gate, attempt).time_met is enough
+        assert behaviour_of(action, GENTLE.gates.set).judge(contact, gate, attempt).time_met is enough
 
 
 @pytest.mark.parametrize("action", sorted(ASKED))
 def test_a_command_asks_for_enough_where_each_of_its_quantities_does(action: str) -> None:
-    gate, behaviour = GENTLE.gates.of(action), behaviour_of(action, GENTLE.gates.version)
+    gate, behaviour = GENTLE.gates.of(action), behaviour_of(action, GENTLE.gates.set)
     enough = CommandedContact(**ASKED[action])
     assert behaviour.requested(gate, enough)
     for name, value in ASKED[action].items():
@@ -100,4 +100,4 @@ def test_a_row_that_is_no_behaviour_object_is_refused(row: Any, what: str) -> No
 def test_a_row_that_only_has_a_gate_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BEHAVIOURS._rows, "odd", SimpleNamespace(gate=Section))
     with pytest.raises(ConfigError, match="action 'odd' is registered as SimpleNamespace; expected a Behaviour object"):
-        behaviour_of("odd", "gates-v1")
+        behaviour_of("odd", "paper")

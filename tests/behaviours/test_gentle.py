@@ -1,4 +1,4 @@
-"""gates-v2 on traces whose answer is known: bands of force, passes of the axis, and the wrist since contact."""
+"""exam on traces whose answer is known: bands of force, passes of the axis, and the wrist since contact."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate_sweep import own_value, protocol_sweeps
 from carecontact.scoring.held_force import held_force
 from carecontact.scoring.progress import Track
-from tests.scoring.gates_v2 import GENTLE, TABLE
+from tests.scoring.exam_gates import GENTLE, TABLE
 from tests.scoring.synthetic import (
     F64,
     PROTOCOL,
@@ -200,7 +200,7 @@ def test_a_push_has_a_least_and_a_most_way_a_force_and_a_time(
 
 
 def test_what_a_person_moved_before_the_contact_is_not_pushed() -> None:
-    """60 mm of its own a second before; gates-v1 lets that pass, and gates-v2 fails it and forgives it too."""
+    """60 mm of its own a second before; paper lets that pass, and exam fails it and forgives it too."""
     own = 0.06 * np.clip(seconds(6.0) - 1.0, 0, 1)
     alone = pushed(own)
     assert alone.wrist_displacement_m == pytest.approx(0.06, abs=1e-4)

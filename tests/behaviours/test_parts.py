@@ -14,7 +14,7 @@ from carecontact.scoring.ask import ask
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate import GatePart
 from carecontact.scoring.metrics.c3_success import judge
-from tests.scoring.gates_v2 import GENTLE
+from tests.scoring.exam_gates import GENTLE
 from tests.scoring.synthetic import PROTOCOL, SIZE, hold, make_recording, push, scrub, seconds
 
 
@@ -25,7 +25,7 @@ def parts_of(recording: Any) -> tuple[list[GatePart], bool]:
     return found, gate.time_met and gate.progress_met and gate.band_met
 
 
-@pytest.mark.parametrize("protocol", [PROTOCOL, GENTLE], ids=["gates-v1", "gates-v2"])
+@pytest.mark.parametrize("protocol", [PROTOCOL, GENTLE], ids=["paper", "exam"])
 @given(data=st.data())
 @settings(max_examples=25, deadline=None)
 def test_all_parts_are_met_exactly_where_the_gate_is(protocol: Protocol, data: st.DataObject) -> None:

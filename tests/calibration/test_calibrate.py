@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from carecontact.calibration import replay
 from carecontact.calibration.certificate import Content, Value, content_sha256, read_certificate
 from carecontact.calibration.content import hardly_identified
 from carecontact.calibration.trial import template
@@ -22,8 +20,6 @@ from carecontact.kernel import found
 from carecontact.programs.evaluate import evaluate
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
-from carecontact.sim.bench import Bench
-from carecontact.world.human.versions import BUILDS, Build
 from tests.calibration.conftest import HEADER, save
 
 
@@ -50,27 +46,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     trials = save(folder / "trials.csv", presses(3))
     assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(folder / "out")]) == 0
     return folder
-
-
-@pytest.mark.parametrize(("protocol", "person"), [("bathing-v2", None), ("bathing-v3-draft", "person-v2")])
-def test_presses_are_replayed_with_the_contact_of_the_protocols_person(
-    protocol: str, person: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In the fit, and when the certificate is verified."""
-    built: list[Build] = []
-
-    class Kept(Bench):
-        def __init__(self, **arguments: Any) -> None:
-            built.append(arguments["build"])
-            super().__init__(**arguments)
-
-    monkeypatch.setattr(replay, "Bench", Kept)
-    trials, out = save(tmp_path / "trials.csv", presses(1)), tmp_path / "out"
-    command = ["calibrate", str(trials), "--region", "forearm", "--out", str(out), "--protocol", protocol]
-    assert main(command) == 1, "a single trial is rejected"
-    assert read_certificate(out / "certificate.json").content.versions.get("person") == person
-    assert main(["calibrate", str(trials), "--verify", str(out / "certificate.json")]) == 1
-    assert built == [BUILDS["person-v2" if person else "person-v1"]] * 2
 
 
 def test_certificate_says_what_was_found(made: Path) -> None:
@@ -318,7 +293,7 @@ def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     for arguments, told in (
         ([str(trials), "--region", "forearm"], "no column force_N (is it 'forse_N'?)"),
         ([], "TRIALS.csv is missing"),
-        ([str(trials), "--region", "knee"], "--region 'knee' is not a soft region of bathing-v2; valid: forearm"),
+        ([str(trials), "--region", "knee"], "--region 'knee' is not a soft region of bathing-v3-draft; valid: forearm"),
         ([str(trials), "--indenter", "cone:5"], "indenter_shape"),
         ([str(trials), "--indenter", "flat"], "--indenter 'flat': '' is not a number"),
         ([str(trials), "--at", "5"], "--at '5': expected ALONG,ACROSS"),

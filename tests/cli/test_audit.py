@@ -17,17 +17,17 @@ AUDITED = [name for name in POLICIES if role_of(name) != "privileged"]
 def test_nothing_leaks_to_any_registered_policy_on_the_hardest_level(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hardest = ["--protocol", "bathing-wide-v1", "--level", "L3", "--seed", "5"]
+    hardest = ["--protocol", "bathing-wide-v2-draft", "--level", "L3", "--seed", "5"]
     assert main(["audit", "--quick", *hardest, "-o", str(tmp_path / "audit")]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith(f"bathing-wide-v1 L3, seed 5, man-adult-light, quick: {', '.join(AUDITED)}\n")
+    assert printed.startswith(f"bathing-wide-v2-draft L3, seed 5, man-adult-light, quick: {', '.join(AUDITED)}\n")
     rows = [line.split()[:2] for line in printed.splitlines() if line.startswith(("pass ", "FAIL "))]
     assert rows == [["pass", name] for name in ("re-derivation", "readings", "frozen", "canary", "handshake", "schema")]
     said = json.loads((tmp_path / "audit" / "audit.json").read_text())
     assert said["schema"] == "carecontact-audit-1"
     assert said["passed"] is True
     assert (said["protocol"]["id"], said["protocol"]["level"], said["protocol"]["seed"]) == (
-        "bathing-wide-v1 L3", "L3", 5,
+        "bathing-wide-v2-draft L3", "L3", 5,
     )  # fmt: skip
     assert (said["policies"], said["privileged"]) == (AUDITED, ["oracle"])
     counts = {part["part"]: part["counts"] for part in said["parts"]}
@@ -67,8 +67,8 @@ def test_a_leak_ends_with_status_1_and_its_name(
         (["--policy", "no-such"], "no policy named 'no-such'; valid: feint-and-wait, hover"),
         (["--policy", "oracle"], "oracle: this policy is privileged"),
         (["--policy", "hover", "hover"], "hover is named twice"),
-        (["--seed", "20"], "--seed: 20 is not a seed of bathing-v2; valid: 0-19"),
-        (["--tasks", "T8"], "'T8' is not a task of bathing-v2"),
+        (["--seed", "20"], "--seed: 20 is not a seed of bathing-v3-draft; valid: 0-19"),
+        (["--tasks", "T8"], "'T8' is not a task of bathing-v3-draft"),
         (["--protocol", "none"], "no protocol named 'none'"),
         (["-o", __file__], "this is a file; name a folder"),
         (["--policy", "nowhere:Policy"], "does not start"),

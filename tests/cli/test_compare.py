@@ -7,12 +7,14 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carecontact.cli import main
 from carecontact.recording import Failure, write_recording
 from carecontact.runs import RunScores, score_run, write_scores
+from carecontact.runs.results_file import pack_results
 from tests.reports.synthetic_run import NO_CONTACT, make_score
 from tests.scoring.synthetic import make_recording, push, touch
 
@@ -257,17 +259,6 @@ def test_baselines_of_a_report_move_with_it_and_are_missed_when_gone(
     assert "baselines.json is damaged (" in capsys.readouterr().out
 
 
-def test_baselines_that_an_earlier_release_remembered(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    earlier = Path("a/null_arms.json")
-    earlier.write_text(json.dumps({"schema": "carecontact-null-arms-1", "runs": ["../c"]}))
-    assert main(["report", "a"]) == 0
-    assert "of the last report: c;" in capsys.readouterr().out
-    assert NAMED in Path("a/report.html").read_text()
-    assert main(["report", "a", "--baseline", "b"]) == 0
-    assert not earlier.exists()
-    assert json.loads(Path("a/baselines.json").read_text())["runs"] == ["../b"]
-
-
 def test_results_of_other_recordings_are_refused(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_recording(touch(seed=1, force=9.0, policy="a"), Path("a/T1-s001.h5"))
     for command in (["report", "a"], ["compare", "a", "b"], ["compare", "b", "--baseline", "a"]):
@@ -353,25 +344,34 @@ def test_one_trial_paired_is_one_trial(runs: Path, capsys: pytest.CaptureFixture
     assert "\n1 trial paired, 1 task, 1 seed\n" in capsys.readouterr().out
 
 
-def test_two_runs_say_who_is_no_method(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def packed(name: str, **fields: Any) -> str:
+    """Return the place of kept scores: two tasks with six seeds."""
+    scores = [make_score(task, seed, policy=name, **fields) for task in ("T1", "T3") for seed in range(6)]
+    pack_results(Path(f"{name}.json.gz"), RunScores(scores=scores))
+    return f"{name}.json.gz"
+
+
+@pytest.fixture
+def wide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "300")
-    kept = Path(__file__).resolve().parents[2] / "docs" / "results" / "bathing-wide-v1-L2"
-    runs = [str(kept / f"{name}.json.gz") for name in ("oracle", "replay")]
-    assert main(["compare", *runs]) == 0
+
+
+@pytest.mark.usefixtures("wide")
+def test_two_runs_say_who_is_no_method(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", packed("oracle", privileged=True), packed("replay")]) == 0
     told = capsys.readouterr().out
-    assert "189 trials; given the simulation: a ceiling, and no method\n" in told
-    assert "189 trials; a blind baseline, and no method\n" in told
+    assert "12 trials; given the simulation: a ceiling, and no method\n" in told
+    assert "12 trials; a blind baseline, and no method\n" in told
 
 
-def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "300")
-    kept = Path(__file__).resolve().parents[2] / "docs" / "results" / "bathing-v2"
-    method, blind = (str(kept / f"{name}.json.gz") for name in ("voxposer", "random"))
-    assert main(["compare", method, "--baseline", blind]) == 0
+@pytest.mark.usefixtures("wide")
+def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(capsys: pytest.CaptureFixture[str]) -> None:
+    beside = {"failure_mode": "wrong_share", "attribution": "planning", "evidence": "aimed beside the region"}
+    random = packed("random", region_correct=False, safety_gated=False, **beside)
+    assert main(["compare", packed("voxposer"), "--baseline", random]) == 0
     told = capsys.readouterr().out
     row = next(line for line in told.splitlines() if line.startswith("random (blind)"))
-    assert " 9.3 " in row, "random reaches some successes"
-    assert row.split()[-7:] == ["0/20"] * 7, "none of which is safe and on the region"
+    assert " 100.0 " in row, "random reaches successes"
+    assert row.split()[-2:] == ["0/6"] * 2, "none of which is safe and on the region"
     assert "T1, T2, ...: safety-gated / trials" in told

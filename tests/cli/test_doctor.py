@@ -22,18 +22,26 @@ def test_exit_status_and_output(
 
 
 @pytest.mark.parametrize(
-    ("landlock", "user", "told"),
+    ("landlock", "namespaces", "user", "told"),
     [
-        (7, 1000, ["ok   isolation  full\n"]),
-        (7, 0, ["warn isolation  full; you are root, and so is every policy"]),
-        (4, 1000, ["warn isolation  partial: ", "signals to the harness", "on another host"]),
-        (0, 0, ["warn isolation  none: this system has no Landlock", "on another host", "you are root"]),
+        (7, True, 1000, ["ok   isolation  full: namespaces and Landlock\n"]),
+        (7, True, 0, ["warn isolation  full: namespaces and Landlock; you are root, and so is every policy"]),
+        (7, False, 1000, ["warn isolation  partial: Landlock without namespaces; run policies"]),
+        (4, False, 1000, ["warn isolation  partial: ", "signals to the harness", "on another host"]),
+        (0, True, 1000, ["warn isolation  partial: namespaces without Landlock"]),
+        (0, False, 0, ["warn isolation  none: neither namespaces nor Landlock", "you are root"]),
     ],
 )
 def test_isolation_that_is_not_there_is_warned_of(
-    landlock: int, user: int, told: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    landlock: int,
+    namespaces: bool,
+    user: int,
+    told: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr("carecontact.hosting.isolation.fence.version", lambda: landlock)
+    monkeypatch.setattr("carecontact.hosting.isolation.fence.granted", lambda: namespaces)
     monkeypatch.setattr("os.geteuid", lambda: user)
     monkeypatch.setattr("carecontact.trials.machine.findings", lambda: [machine.check_isolation()])
     assert Doctor()() == 0

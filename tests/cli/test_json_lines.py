@@ -137,14 +137,14 @@ def test_compare(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_protocol(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["protocol", "list", "--json"]) == 0
-    assert "bathing-v2" in {row["id"] for row in lines(capsys)[0]["protocols"]}
-    assert main(["protocol", "show", "bathing-v2", "--json"]) == 0
+    assert "bathing-v3-draft" in {row["id"] for row in lines(capsys)[0]["protocols"]}
+    assert main(["protocol", "show", "bathing-v3-draft", "--json"]) == 0
     assert lines(capsys)[0]["fields"]["tasks"][0]["id"] == "T1"
     assert main(["protocol", "verify", "bathing-droid-draft", "--json"]) == 1
     (line,) = lines(capsys)
     assert (line["equal"], line["differences"]) == (False, [])
     own = tmp_path / "own.toml"
-    own.write_text('base = "bathing-v2"\nid = "own-1"\ndescription = "mine"\nfrozen = true\n')
+    own.write_text('base = "bathing-v3-draft"\nid = "own-1"\ndescription = "mine"\nfrozen = true\n')
     assert main(["protocol", "lock", str(own), "--json"]) == 0
     assert Path(lines(capsys)[0]["lock"]).is_file()
     assert main(["protocol", "verify", str(own), "--json"]) == 0
@@ -209,7 +209,7 @@ def test_feasible_draws_a_map_only_where_it_is_asked_for_beside_json(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(survey, "survey", none_fits)
-    asked = ["protocol", "feasible", "bathing-wide-v1", "--level", "L2", "--seeds", "0", "--json"]
+    asked = ["protocol", "feasible", "bathing-wide-v2-draft", "--level", "L2", "--seeds", "0", "--json"]
     assert main(asked) == 1
     (line,) = lines(capsys)
     assert [row["feasible"] for row in line["seeds"]] == [False]

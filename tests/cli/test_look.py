@@ -39,5 +39,5 @@ def test_one_picture_of_every_camera(
     changed = {"body": "man-old-light", "tool": "mitt"}
     assert asked == {"title": asked["title"], "task_id": "T3", "seed": 7, "weights": None, "salt": "", **changed}
     assert (card.modalities, card.cameras) == (MODALITIES, CAMERAS)
-    assert main(["look", "--task", "T1", "--protocol", "bathing-wide-v1", "--level", "L2"]) == 0
-    assert asked["title"] == "bathing-wide-v1 L2"
+    assert main(["look", "--task", "T1", "--protocol", "bathing-wide-v2-draft", "--level", "L2"]) == 0
+    assert asked["title"] == "bathing-wide-v2-draft L2"

@@ -99,7 +99,7 @@ def misnamed() -> None:
     [
         (other_recording, "part-1/T1-s000.h5 and again/T1-s000.h5 are different recordings of one trial"),
         (other_policy, "part-1 and again are not parts of one run: different policies, hover and zero-action"),
-        (other_protocol, "not parts of one run: different protocols, bathing-v2 "),
+        (other_protocol, "not parts of one run: different protocols, bathing-v3-draft "),
         (other_release, "not parts of one run: different versions, mujoco 4.0.0 and mujoco 9.9.9"),
         (misnamed, "again/T2-s000.h5 holds trial T1-s000"),
         (lambda: Path("again").mkdir(), "again is not a run: it holds no manifest.json"),

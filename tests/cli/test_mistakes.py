@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.errors import PolicyError
+from carecontact.contract.action import ACTION_SPACES
+from carecontact.errors import ActionError, PolicyError
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
 from tests.hosting.served import WITHOUT_WAITING
@@ -20,7 +21,7 @@ class Helper: ...
 class MyPolicy:
     def act(self, observation): ...
 """
-HEIR = 'base = "bathing-v2"\nid = "mine-v1"\ndescription = "mine"\n'
+HEIR = 'base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "mine"\n'
 RUN = ["run", "--out", "r", "--tasks", "T1", "--seeds", "0", "--policy"]
 MISTAKES = {
     "a misspelt option": (
@@ -34,7 +35,7 @@ MISTAKES = {
     "a word for a number": ([*RUN, "hover", "--jobs", "two"], "--jobs: expected INT, got 'two'"),
     "a task in lower case, and --task for --tasks": (
         ["run", "--policy", "hover", "--out", "r", "--task", "t1"],
-        "tasks: 't1' is not a task of bathing-v2 (did you mean 'T1'?); valid: T1, ",
+        "tasks: 't1' is not a task of bathing-v3-draft (did you mean 'T1'?); valid: T1, ",
     ),
     "a misspelt policy": ([*RUN, "state_machine"], "no policy named 'state_machine' (did you mean 'state-machine'?)"),
     "the file in place of the policy": ([*RUN, "my_policy.py"], "(did you mean my_policy:MyPolicy?)"),
@@ -61,8 +62,8 @@ MISTAKES = {
     ),
     "a protocol without its base": (
         ["protocol", "show", "alone.toml"],
-        'alone.toml: add base = "bathing-v2" (valid: bathing-v2, bathing-droid-draft, '
-        "bathing-v3-draft, bathing-wide-v1, bathing-wide-v2-draft, FILE.toml), or give all fields; 12 ",
+        'alone.toml: add base = "bathing-v3-draft" (valid: bathing-v3-draft, bathing-droid-draft, '
+        "bathing-wide-v2-draft, FILE.toml), or give all fields; 12 ",
     ),
     "a protocol file without its ending": (
         ["protocol", "verify", "alone"],
@@ -119,7 +120,7 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
     Path("my_policy.py").write_text(POLICY)
-    Path("gone.toml").write_text(HEIR.replace("bathing-v2", "no.toml"))
+    Path("gone.toml").write_text(HEIR.replace("bathing-v3-draft", "no.toml"))
     Path("field.toml").write_text(HEIR + "phsyics.dt_s = 0.004\n")
     Path("bsae.toml").write_text(HEIR.replace("base", "bsae"))
     Path("alone.toml").write_text(HEIR.partition("\n")[2])
@@ -183,9 +184,13 @@ def answered(card: str, answer: str, folder: Path) -> str:
     setup = PolicySetup.of("my_policy:MyPolicy", search_path=[str(folder)])
     with PolicyProcess(setup, first_deadline_s=60, deadline_s=60) as policy:
         try:
-            policy.start()
+            space = ACTION_SPACES[policy.start().action_space]
             policy.reset("touch", SESSION)
-            policy.act(synthetic_observation())
+            (action,) = policy.act(synthetic_observation()).actions
+            try:
+                space.check(action, SESSION)
+            except ActionError as error:  # as ``Episode.step`` refuses it
+                policy.refuse(0, error)
         except PolicyError as error:
             return str(error)
     raise AssertionError("the policy did not fail")

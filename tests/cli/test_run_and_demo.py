@@ -332,7 +332,7 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
-    title = "bathing-v2 with body woman-old-light"
+    title = "bathing-v3-draft with body woman-old-light"
     assert main([*command, "--body", "woman-old-light"]) == 0
     told = capsys.readouterr().out
     assert f"1 trial of {title} into r" in told
@@ -366,11 +366,11 @@ def test_a_sweeps_run_says_what_it_varies(
 ) -> None:
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main([*command, option, value]) == 0
-    assert f"1 trial of bathing-v2 with {title} into r" in capsys.readouterr().out
+    assert f"1 trial of bathing-v3-draft with {title} into r" in capsys.readouterr().out
     assert list(json.loads(Path("r/results.json").read_text())["protocol"]["overrides"].values()) == [value]
-    assert f"bathing-v2 with {title}" in Path("r/report.html").read_text()
+    assert f"bathing-v3-draft with {title}" in Path("r/report.html").read_text()
     assert main(command) == 2
-    assert "bathing-v2 with" in capsys.readouterr().err
+    assert "bathing-v3-draft with" in capsys.readouterr().err
     assert main([*command[:-1], "own"]) == 0
     assert main(["compare", "r", "own"]) == 2
     assert "only runs of the same protocol" in capsys.readouterr().err

@@ -84,12 +84,12 @@ def test_the_gate_for_joints_is_told_where_there_is_one(
 def test_what_nursing_studies_ask_is_told_of_the_mitt_alone(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    values = [{"effective@1": 1.0, "comfortable@1": 0.0}, {"effective@1": 0.0, "comfortable@1": 1.0}]
+    values = [{"effective@1": 1.0, "comfortable@2": 0.0}, {"effective@1": 0.0, "comfortable@2": 1.0}]
     scores = [make_score("T3", seed, additional=found) for seed, found in enumerate(values)]
-    scores.append(make_score("T1", 0, additional={"effective@1": 0.0, "comfortable@1": 1.0}))
+    scores.append(make_score("T1", 0, additional={"effective@1": 0.0, "comfortable@2": 1.0}))
     told = shown(scores, capsys, monkeypatch, with_mitt(PROTOCOL))
     assert "Wiped clean (effective@1): 1 of 2" in told, "of scrub tasks"
-    assert "Wiped below 25 mmHg (comfortable@1): 2 of 3" in told
+    assert "Wiped below 25 mmHg (comfortable@2): 2 of 3" in told
     assert "effective@1" not in shown(scores, capsys, monkeypatch)
 
 

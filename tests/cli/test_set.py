@@ -7,7 +7,6 @@ import pytest
 from carecontact.cli.commands import parse
 from carecontact.cli.groups import PhysicsGroup, RulesGroup
 from carecontact.cli.run import Run
-from carecontact.cli.validate import NEWEST
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol, overridden
 from tests.cli.test_run_and_demo import fake
@@ -29,7 +28,7 @@ CHANGES = {"physics.dt_s": "0.004", "gates.push.force_n": "4"}
 def test_every_command_that_chooses_rules_takes_it_more_than_once(command: str) -> None:
     given = [part for path, value in CHANGES.items() for part in ("--set", f"{path}={value}")]
     rules = parse([command, *COMMANDS[command], *given]).rules
-    own = load_protocol(NEWEST) if command == "validate" else load_protocol()
+    own = load_protocol()
     assert rules.load() == overridden(own, CHANGES)
 
 
@@ -70,7 +69,7 @@ def test_a_run_says_what_was_set(fake: pytest.MonkeyPatch, capsys: pytest.Captur
 
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main([*command, "--set", "gates.touch.duration_s=1"]) == 0
-    assert "bathing-v2 with gates.touch.duration_s 1" in capsys.readouterr().out
+    assert "bathing-v3-draft with gates.touch.duration_s 1" in capsys.readouterr().out
     assert main(command) == 2, "the folder holds trials of other rules"
 
 
@@ -78,7 +77,7 @@ def test_latency_is_an_option_of_run_in_milliseconds() -> None:
     run = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250"])
     assert isinstance(run, Run)
     assert run._protocol().phases.latency_s == 0.25
-    assert run._protocol().title == "bathing-v2 with phases.latency_s 0.25"
+    assert run._protocol().title == "bathing-v3-draft with phases.latency_s 0.25"
     wrong = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250", "--set", "phases.latency_s=1"])
     assert isinstance(wrong, Run)
     with pytest.raises(ConfigError, match=r"--latency-ms: another option replaces phases\.latency_s"):

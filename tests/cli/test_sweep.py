@@ -212,7 +212,7 @@ def test_a_piece_of_a_plan_is_a_beginning_of_the_whole(
     assert main(["sweep", "p.toml", "--out", "s"]) == 0
     assert ran() == 8
     assert main(["sweep", "p.toml", "--out", "s", "--seeds", "77"]) == 2
-    assert "plan p.toml: seeds: '77' contains seeds that bathing-v2 does not have" in capsys.readouterr().err
+    assert "plan p.toml: seeds: '77' contains seeds that bathing-v3-draft does not have" in capsys.readouterr().err
 
 
 def test_a_stopped_sweep_has_a_table_on_request(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -242,7 +242,7 @@ def test_one_noise_salt_serves_all_cells_that_have_noise(
     salt = "0123456789abcdef" * 2
     assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt]) == 2
     assert "--noise-salt: no protocol of this plan has sensor noise" in capsys.readouterr().err
-    levels = 'protocol = ["bathing-wide-v1"]\nlevel = ["L1", "L2"]'
+    levels = 'protocol = ["bathing-wide-v2-draft"]\nlevel = ["L1", "L2"]'
     Path("p.toml").write_text(PLAN.replace('body = ["man-adult", "woman-old-light"]', levels))
     assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt[1:]]) == 2
     assert "--noise-salt: expected 32 hexadecimal digits" in capsys.readouterr().err
@@ -357,14 +357,16 @@ def test_a_wrong_plan_is_one_line_and_makes_no_folder(
 
 def test_a_sweep_tells_its_table_as_json(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     Path("p.toml").write_text(
-        PLAN.replace('body = ["man-adult", "woman-old-light"]', 'protocol = ["bathing-v2", "bathing-wide-v1 L1"]')
+        PLAN.replace(
+            'body = ["man-adult", "woman-old-light"]', 'protocol = ["bathing-v3-draft", "bathing-wide-v2-draft L1"]'
+        )
     )
     assert main(["sweep", "p.toml", "--out", "s", "--json"]) == 0
     out = capsys.readouterr()
     (line,) = out.out.splitlines()
     answer = json.loads(line)
     assert (answer["schema"], answer["trials"], answer["planned"]) == ("carecontact-sweep-1", 8, 8)
-    assert [rung["value"] for rung in answer["ladder"]["rungs"]] == ["bathing-v2", "bathing-wide-v1 L1"]
+    assert [rung["value"] for rung in answer["ladder"]["rungs"]] == ["bathing-v3-draft", "bathing-wide-v2-draft L1"]
     assert {climb["role"] for rung in answer["ladder"]["rungs"] for climb in rung["climbs"]} == {"blind"}
     assert "table: s/sweep.html" in out.err
     assert "Success over level" in Path("s/sweep.html").read_text()

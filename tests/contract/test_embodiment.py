@@ -21,7 +21,7 @@ def test_the_shipped_protocols_park_it_inside_them(name: str) -> None:
 
 
 def test_the_draft_parks_it_at_its_own_posture() -> None:
-    assert load_protocol("bathing-v2").scene.parked_joint_rad == PANDA.parked_joint_rad
+    assert load_protocol("bathing-v3-draft").scene.parked_joint_rad == PANDA.parked_joint_rad
 
 
 @pytest.mark.parametrize("robot", EMBODIMENTS.values(), ids=list(EMBODIMENTS))

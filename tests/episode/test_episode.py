@@ -140,7 +140,7 @@ def test_a_card_that_clips_is_counted(again: Callable[[TrialSpec], World], monke
 
 
 def test_mistakes_of_a_loop_are_named(again: Callable[[TrialSpec], World]) -> None:
-    with pytest.raises(ConfigError, match="no task 'T99' in bathing-v2; valid: T1, T2"):
+    with pytest.raises(ConfigError, match="no task 'T99' in bathing-v3-draft; valid: T1, T2"):
         Episode(spec().model_copy(update={"task_id": "T99"}), card=BLIND, prepare=again)
     with Episode(spec(), card=BLIND, prepare=again) as episode:
         episode.reset()

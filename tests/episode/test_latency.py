@@ -12,7 +12,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import World
-from carecontact.protocols import load_protocol, overridden
+from carecontact.protocols import overridden
 from carecontact.recording import Recording, canonical_hash
 from carecontact.scoring import score_recording
 
@@ -64,7 +64,3 @@ def test_a_trial_may_end_while_it_waits(parked_world: Callable[[TrialSpec], Worl
         recording = episode.finish()
     assert len(recording["actions/time_s"]) == 0
     assert len(recording["scorer/time_s"]) == 250
-
-
-def test_protocols_without_latency_keep_their_hash() -> None:
-    assert "latency_s" not in load_protocol().model_dump(mode="json")["phases"]

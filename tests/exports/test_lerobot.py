@@ -184,8 +184,9 @@ def test_the_rate_is_that_at_which_the_actions_began(
         ):
             episode_of(recording)
         return
-    recording.arrays.update({f"policy/frames/{k:04d}/overhead/rgb": np.zeros((4, 4, 3), np.uint8) for k in index})
-    recording.arrays["policy/observation_time_s"] = np.ones(6)
+    frames = {f"policy/frames/{k:04d}/overhead/rgb": np.zeros((4, 4, 3), np.uint8) for k in index}
+    times = {"policy/observation_time_s": np.ones(6), "policy/observation_sha256": np.zeros((6, 32), np.uint8)}
+    recording = replace(recording, arrays={**recording.arrays, **frames, **times})
     assert json.dumps(episode_of(recording).fps) == fps
 
 

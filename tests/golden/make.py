@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,8 +60,9 @@ def golden() -> Iterator[Recording]:
         )
         column = SEGMENTS.index(target_segment(task_id))
         drag = DRAG * recording["scorer/normal_force"][:, column] * np.sign(np.gradient(path[:, 0], DT))
-        recording["scorer/force_human_from_robot_in_world"][:, column, 0] = drag
-        yield recording
+        force = recording["scorer/force_human_from_robot_in_world"].copy()
+        force[:, column, 0] = drag
+        yield replace(recording, arrays={**recording.arrays, "scorer/force_human_from_robot_in_world": force})
     beside = {"right_forearm": wavy(1.0, 0.2, 0.9, 5.0, 1.0), "right_upper_arm": wavy(1.0, 0.7, 0.9, 2.0, 0.2)}
     yield make_recording("T4", duration=1.0, normal=beside, targets_in_region=target)
     yield make_recording("T6", duration=0.4, targets_in_region=target, ended="time_limit")

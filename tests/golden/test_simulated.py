@@ -1,9 +1,8 @@
 """Recordings of real simulations keep every array and every score to the last bit.
 
-``T7-s000.h5`` is the state machine on ``bathing-v1``, ``T2-s001.h5`` the replay baseline on ``bathing-moved-v1``, both
-with the earlier model of the tissue and under schema 1; ``T1-s000.h5`` is the state machine on ``bathing-draft`` under
-schema 3. The files are never written again: a later schema has to read them as they are. After a definition changed on
-purpose, run ``python -m tests.golden.test_simulated`` from the repository's root; it writes the expected values only.
+``T2-s000.h5`` is the blind replay on ``bathing-v3-draft``, judged by the gates of the paper. ``T3-s000.h5`` is the
+oracle on L3 of ``bathing-wide-v2-draft``, judged by the exam; the person breathes and moves. After a definition changed
+on purpose, run ``python -m tests.golden.test_simulated`` from the repository's root; it writes expected values only.
 """
 
 from __future__ import annotations
@@ -16,13 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carecontact.recording import read_verified
+from carecontact.recording import read_recording
 from carecontact.scoring import score_recording
 from tests.golden.test_scores import same
 
 FOLDER = Path(__file__).parent / "simulated"
 EXPECTED = FOLDER / "expected.json"
-FILES = ("T1-s000.h5", "T2-s001.h5", "T7-s000.h5")
+FILES = ("T2-s000.h5", "T3-s000.h5")
 
 
 def cpu() -> str:
@@ -34,13 +33,13 @@ def cpu() -> str:
 
 
 def found_in(path: Path) -> dict[str, Any]:
-    verified = read_verified(path)
+    recording = read_recording(path)
     arrays = {
         name: hashlib.sha256(f"{a.dtype.str} {a.shape}".encode() + np.ascontiguousarray(a).tobytes()).hexdigest()
-        for name, a in sorted(verified.recording.arrays.items())
+        for name, a in sorted(recording.arrays.items())
     }
-    score = score_recording(verified.recording, sha256=verified.sha256).model_dump(mode="json")
-    return {"sha256": verified.sha256, "arrays": arrays, "score": score}
+    score = score_recording(recording).model_dump(mode="json")
+    return {"sha256": recording.stored_sha256, "arrays": arrays, "score": score}
 
 
 def equal(before: Any, now: Any, *, bitwise: bool) -> bool:

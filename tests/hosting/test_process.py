@@ -24,7 +24,6 @@ import carecontact
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ExhaustedError, ObservationError, PolicyError
 from carecontact.hosting import process as harness_process
-from carecontact.hosting.alarms import Alarms
 from carecontact.hosting.isolation.fence import available
 from carecontact.hosting.process import PolicyProcess
 from carecontact.hosting.setup import PolicySetup
@@ -33,6 +32,9 @@ from carecontact.hosting.wire.packing import pack
 from tests.hosting.conftest import PREAMBLE, Launch
 from tests.policies import synthetic
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
+from tests.processes import NAMESPACE, alive, pid_here
+
+pytestmark = pytest.mark.usefixtures("sandbox")
 
 
 def _failure(process: PolicyProcess, *, at: str) -> PolicyError:
@@ -129,7 +131,6 @@ def test_a_conversation(launch: Launch) -> None:
         ("raise ValueError('\\x1b[2J\\0red')", "exception", r"ValueError: \\x1b\[2J\\x00red$"),
         ("os.write(1, b'\\x1b[31mred\\n'); os._exit(3)", "died", r"it printed last:\n\\x1b\[31mred$"),
         ("sys.exit('enough')", "exception", "SystemExit: enough"),
-        ("return Action(pose_tcp_in_base=observation.pose_tcp_in_base * np.nan)", "action", "expected finite numbers"),
         ("server.pack = lambda m: b'\\xc1 not msgpack'", "garbage", "expected msgpack"),
         ("server.pack = lambda m: bytes(5 << 20)", "oversize", "at most 4194304 bytes"),
     ],
@@ -299,38 +300,6 @@ def _no_thread(thread: threading.Thread) -> None:
     raise RuntimeError("can't start new thread")
 
 
-def test_a_call_under_a_deadline_needs_no_further_thread(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A policy can take all that its user may have."""
-    process = launch(
-        """
-        class P(Base):
-            def act(self, observation):
-                time.sleep(60 if observation.sim_time_s else 0)
-                return Action()
-        """,
-        deadline_s=0.5,
-    )
-    alarms, ready = [Alarms(), Alarms()], list[bool]()
-    for name, made in zip(("DEADLINES", "REPORTS"), alarms, strict=True):
-        monkeypatch.setattr(f"carecontact.hosting.conversation.{name}", made)
-    monkeypatch.setattr("carecontact.hosting.wire.connection.DEADLINES", alarms[0])
-
-    def launched(given: PolicySetup) -> dict[str, str]:
-        ready.append(all(made.runs for made in alarms))
-        return environment(given)
-
-    environment = harness_process._environment  # pyright: ignore[reportPrivateUsage]
-    monkeypatch.setattr(harness_process, "_environment", launched)
-    process.on_wait = lambda line: None
-    process.start()
-    assert ready[0], "the policy may have taken all before they start"
-    monkeypatch.setattr(threading.Thread, "start", _no_thread)
-    process.reset("touch", SESSION)
-    process.act(synthetic_observation())
-    with pytest.raises(PolicyError, match=r"no actions message within 0\.5 s"):
-        process.act(synthetic_observation(sim_time_s=0.1))
-
-
 def _no_process(*given: object, **more: object) -> None:
     raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
@@ -350,7 +319,6 @@ def test_a_policy_is_not_blamed_for_what_the_harness_does_not_get(
 ) -> None:
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
-    launch("class P(Base): pass").start()  # The threads of the deadlines.
     process, kept = launch("class P(Base): pass"), set(Path("/proc/self/fd").iterdir())
     folders = set((tmp_path / "temporary").iterdir())
     with monkeypatch.context() as patch:
@@ -396,7 +364,7 @@ def test_a_policy_that_does_not_read_is_killed(launch: Launch) -> None:
     process.start()
     process.reset("touch", SESSION)
     process.act(synthetic_observation())
-    stopped = Path(f"/proc/{_children(_children()[0])[0]}/stat")
+    stopped = Path(f"/proc/{_children(_children()[0])[-1]}/stat")
     assert _soon(lambda: stopped.read_text().rpartition(")")[2].split()[0] == "T")
     with pytest.raises(PolicyError, match=r"did not read its message within 0\.(3|29\d*) s") as caught:
         process.act(synthetic_observation(cameras={"overhead": synthetic_view(height=800, width=1600)}))
@@ -439,9 +407,7 @@ def test_many_slow_calls_use_up_the_budget_of_a_trial(launch: Launch) -> None:
     assert _children() == []
 
 
-@pytest.mark.parametrize(
-    "environment", ["os.environ", "{}"], ids=["marked", "without its variables but with a living parent"]
-)
+@pytest.mark.parametrize("environment", ["os.environ", "{}"], ids=["that of a policy that ends", "without variables"])
 def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: Path, environment: str) -> None:
     process = launch(
         f"""
@@ -451,7 +417,8 @@ def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: P
                 if observation.sim_time_s == 0:
                     sleeper = [sys.executable, "-c", "import time; time.sleep(60)"]
                     child = subprocess.Popen(sleeper, env=dict({environment}), start_new_session=True)
-                    open(os.path.join(os.path.dirname(__file__), "pid"), "w").write(str(child.pid))
+                    with open(os.path.join(os.path.dirname(__file__), "pid"), "w") as note:
+                        note.write(f"{{child.pid}} {{{NAMESPACE}}}")
                     return Action()
                 {"os._exit(3)" if environment == "os.environ" else "time.sleep(60)"}
         """,
@@ -460,11 +427,14 @@ def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: P
     process.start()
     process.reset("touch", SESSION)
     process.act(synthetic_observation())
+    pid, namespace = (tmp_path / "pid").read_text().split()
+    child = pid_here(int(pid), namespace)
+    assert alive(child)
     with pytest.raises(PolicyError) as caught:
         process.act(synthetic_observation(sim_time_s=0.1))
     assert caught.value.kind == ("timeout" if environment == "{}" else "died")
     assert _children() == []
-    assert _soon(lambda: not _alive(int((tmp_path / "pid").read_text())))
+    assert _soon(lambda: not alive(child))
 
 
 def test_a_hanging_import_is_killed(launch: Launch) -> None:
@@ -654,7 +624,7 @@ def test_the_process_ends_with_its_parent(tmp_path: Path, hangs: str) -> None:
     """The parent dies without a word while the policy hangs."""
     (tmp_path / "orphan.py").write_text(
         PREAMBLE
-        + "class P(Base):\n    def reset(self, i):\n        print(os.getpid(), file=open('pid', 'w'))\n"
+        + f"class P(Base):\n    def reset(self, i):\n        print(os.getpid(), {NAMESPACE}, file=open('pid', 'w'))\n"
         + f"        os.rename('pid', 'born'); {hangs}\n"
     )
     parent = subprocess.Popen(
@@ -676,20 +646,14 @@ def test_the_process_ends_with_its_parent(tmp_path: Path, hangs: str) -> None:
     )
     born = tmp_path / "born"
     assert _soon(born.exists)
-    pid = int(born.read_text())
+    told, namespace = born.read_text().split()
+    pid = pid_here(int(told), namespace)
+    assert alive(pid)
     if hangs != "time.sleep(60)":
         assert _soon(lambda: Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T")
     parent.kill()
     parent.wait()
-    assert _soon(lambda: not _alive(pid))
-
-
-def _alive(pid: int) -> bool:
-    """A zombie that nobody has reaped yet is dead."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
+    assert _soon(lambda: not alive(pid))
 
 
 def _soon(condition: Callable[[], bool]) -> bool:

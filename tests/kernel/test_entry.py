@@ -1,4 +1,4 @@
-"""The contact of person-v2: a layer that stiffens, and skin that is let in and not taken in at once."""
+"""The contact: a layer that stiffens, and skin that is let in and not taken in at once."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import pytest
 from scipy.optimize import brentq
 
 from carecontact.contract.protocol import Tissue
+from carecontact.kernel.region import ENTRY_M, LAYER_M
 from carecontact.sim.simulation import UNSOLVED_M
-from carecontact.world.human.versions import BUILDS
 from tests.kernel.sheets import BOX, CYLINDER, ELLIPSOID, Array, Sheet, sheet, tissue
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-LAYER_M, ENTRY_M = BUILDS["person-v2"].layer_m, BUILDS["person-v2"].entry_m
 PILE_M = 0.004
 """Depth over which a soft tool's surface stiffens (``PILE`` in ``c/contact.c``)."""
 CAP: dict[str, Any] = {"bottom_m": 0.012, "type": ELLIPSOID, "size": [0.012, 0.019, 0.012]}
@@ -152,17 +151,7 @@ def test_the_energy_of_the_layer_is_the_work_done_on_it() -> None:
     assert work - rows["damped_j"].sum() - rows["rubbed_j"].sum() == pytest.approx(rows["stored_j"][-1], rel=0.01)
 
 
-def test_a_region_of_person_v1_has_no_such_numbers() -> None:
-    plain, new = (
-        Sheet(belly(), sheet(), layer_m=layer, entry_m=entry, **CAP)
-        for layer, entry in ((0.0, 0.0), (LAYER_M, ENTRY_M))
-    )
-    names = [{made.model.numeric(k).name for k in range(made.model.nnumeric)} for made in (plain, new)]
-    assert names[1] - names[0] == {"sheet/contact"}
-    assert plain.model.npluginstate == new.model.npluginstate
-
-
-@pytest.mark.parametrize("entry_m", [0.0, ENTRY_M], ids=["person-v1", "person-v2"])
+@pytest.mark.parametrize("entry_m", [0.0, ENTRY_M], ids=["at once", "let in"])
 def test_a_vertex_that_is_not_a_number_marks_every_step_from_then_on(entry_m: float) -> None:
     made = Sheet(belly(), sheet(), layer_m=entry_m and LAYER_M, entry_m=entry_m, **CAP)
     assert made.hold(0.004, steps=5)["left_m"] <= UNSOLVED_M
@@ -187,7 +176,7 @@ def test_numbers_that_no_step_can_be_made_with_mark_it(numeric: str, number: int
 
 @pytest.mark.parametrize(("half_m", "unsolved"), [(0.02, False), (0.06, True)])
 def test_a_tool_over_more_points_than_the_state_has_rows_for_marks_the_step(half_m: float, unsolved: bool) -> None:
-    # A row of person-v2 takes more than twice the room that the state keeps for a point.
+    # A row with both takes more than twice the room that the state keeps for a point.
     box: dict[str, Any] = {"bottom_m": 0.01, "type": BOX, "size": [half_m, half_m, 0.01]}
     made = Sheet(belly(), sheet(half_m=0.05), layer_m=LAYER_M, entry_m=ENTRY_M, **box)
     row = made.hold(0.002, steps=5)

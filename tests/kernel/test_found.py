@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import subprocess
 import sys
 from importlib import metadata
@@ -13,8 +12,6 @@ import pytest
 
 from carecontact.errors import DependencyError
 from carecontact.kernel import binary, found
-from carecontact.protocols import load_levels, load_protocol
-from carecontact.protocols.lock import read_lock
 
 
 def test_the_hash_is_of_the_file_that_is_loaded() -> None:
@@ -29,31 +26,6 @@ def test_the_hash_is_known_without_loading_mujoco_or_the_binary() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-
-
-def test_to_a_frozen_protocol_a_kernel_that_answers_alike_is_the_frozen_one() -> None:
-    """``tests/kernel/test_behaviour.py`` shows that it answers alike."""
-    frozen = json.loads(found.FROZEN.read_text())["person-v1"]
-    assert frozen["equal_sources"] == binary.sources_sha256(), "run tools/frozen_kernel.py"
-    assert found.identity("person-v1") == frozen["binaries"][binary.platform_here()]
-    assert found.sources_identity("person-v1") == frozen["sources"]
-    assert found.identity("person-v2") == found.sha256()
-    assert found.sources_identity("person-v2") == binary.sources_sha256()
-    for protocol in (load_protocol("bathing-v2"), *load_levels("bathing-wide-v1").values()):
-        lock = read_lock(protocol.id, level=protocol.level)
-        assert lock is not None
-        assert lock.assets["kernel/c"] == frozen["sources"]
-
-
-def test_a_kernel_that_was_not_shown_to_answer_alike_has_its_own_hash(
-    elsewhere: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    own = found.sha256()
-    assert found.identity("person-v1") != own
-    (elsewhere / "c" / "plugin.c").write_text("// edited\n")
-    monkeypatch.setattr(found, "file", lambda: elsewhere / "c" / "plugin.c")
-    assert found.identity("person-v1") == found.sha256() != own
-    assert found.sources_identity("person-v1") == binary.sources_sha256()
 
 
 def test_an_edited_source_is_told_with_the_command_that_compiles_it(elsewhere: Path) -> None:

@@ -17,7 +17,7 @@ from carecontact.policies.replay.donor import read_donors
 from carecontact.protocols import load_protocol
 from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation, synthetic_view
 
-PROTOCOL = load_protocol("bathing-v2")
+PROTOCOL = load_protocol("bathing-v3-draft")
 CAMERA = read_donors()[PROTOCOL.tasks[0].prompt].pose_camera_in_base
 """As the overhead camera stands to the robot in the protocols of which the mean was taken."""
 

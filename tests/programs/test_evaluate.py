@@ -114,9 +114,9 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
 
 
 def test_a_level_of_a_protocol_is_chosen_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"bathing-wide-v1.*L0, L1, L2, L3"):
-        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v1")
+    with pytest.raises(ConfigError, match=r"bathing-wide-v2-draft.*L0, L1, L2, L3"):
+        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v2-draft")
     with pytest.raises(ConfigError, match=r"^seeds: "):
-        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v1", level="L2", seeds="100000")
+        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v2-draft", level="L2", seeds="100000")
     with pytest.raises(ConfigError, match="seeds=None: expected a text, a number or a list"):
         cc.evaluate("hover", out=tmp_path, seeds=None)  # type: ignore[arg-type]

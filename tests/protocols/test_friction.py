@@ -7,7 +7,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocols import load_protocol, overridden
 from carecontact.protocols.friction import SKIN_STATES, friction_changes
 
-RULES = load_protocol("bathing-v2")
+RULES = load_protocol("bathing-v3-draft")
 
 
 @pytest.mark.parametrize(("friction", "value"), [(k, s.coefficient) for k, s in SKIN_STATES.items()] + [("0.8", 0.8)])
@@ -25,7 +25,7 @@ def test_states_have_sources_and_lie_in_their_order() -> None:
 
 
 def test_a_title_says_one_friction_once() -> None:
-    assert overridden(RULES, friction_changes(RULES, "wet")).title == "bathing-v2 with friction 1"
+    assert overridden(RULES, friction_changes(RULES, "wet")).title == "bathing-v3-draft with friction 1"
     two = {"person.tissue.forearm.friction": "1", "person.tissue.abdomen.friction": "0.8"}
     assert protocol_title("x", two) == (
         "x with person.tissue.abdomen.friction 0.8 and person.tissue.forearm.friction 1"

@@ -43,7 +43,7 @@ def test_drift_that_a_run_announced(held: Protocol) -> None:
 
 
 def test_files_of_ones_own() -> None:
-    own = load_protocol("bathing-v2").model_copy(update={"id": "mine-v1", "frozen": True})
+    own = load_protocol("bathing-v3-draft").model_copy(update={"id": "mine-v1", "frozen": True})
     assert frozen_state(own).startswith("not verified as frozen: ")
     assert frozen_state(own.model_copy(update={"frozen": False})) == "draft"
 
@@ -52,6 +52,6 @@ def test_a_draft_is_one_and_an_earlier_recording_is_not_verified() -> None:
     draft = load_protocol("bathing-droid-draft")
     assert frozen_state(draft) == "draft"
     assert frozen_state(softened(draft)) == "draft"
-    earlier = draft.model_copy(update={"id": "bathing-v1", "frozen": True})
+    earlier = draft.model_copy(update={"id": "bathing-v2", "frozen": True})
     assert frozen_state(earlier).startswith("not verified as frozen: ")
-    assert drifted_sha256("bathing-v1", earlier.sha256) is None
+    assert drifted_sha256("bathing-v2", earlier.sha256) is None

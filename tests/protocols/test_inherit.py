@@ -10,12 +10,12 @@ import pytest
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocols import load_protocol
 from carecontact.protocols.tissue_sets import load_tissue_set
-from tests.scoring.gates_v2 import GATES
+from tests.scoring.exam_gates import GATES
 
-BASE = load_protocol("bathing-v2")
-WIDE = (resources.files("carecontact") / "protocols/bathing-wide-v1.toml").read_text()
-GATES_V2 = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0]
-HEAD = 'base = "bathing-v2"\nid = "mine-v1"\ndescription = "Mine."\n'
+BASE = load_protocol("bathing-v3-draft")
+WIDE = (resources.files("carecontact") / "protocols/bathing-wide-v2-draft.toml").read_text()
+EXAM = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0]
+HEAD = 'base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
 def written(folder: Path, text: str, name: str = "mine.toml") -> str:
@@ -47,8 +47,8 @@ def test_a_shipped_protocol_in_a_few_lines(tmp_path: Path) -> None:
     joints = list(droid.scene.parked_joint_rad)
     camera = droid.cameras["exterior"]
     text = (
-        f'base = "bathing-v2"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = false\n'
-        f"[scene]\nparked_joint_rad = {joints}\n"
+        f'base = "bathing-v3-draft"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = false\n'
+        f'[randomization]\ndrawn_as = ""\n[scene]\nparked_joint_rad = {joints}\n'
         f"[cameras.exterior]\nposition_m = {list(camera.position_m)}\nlook_at_m = {list(camera.look_at_m)}\n"
         "up = [0, 0, 1]\nfovy_deg = 71.5\nwidth = 640\nheight = 360\n"
         "[cameras.wrist]\nfovy_deg = 57.0\nwidth = 640\nheight = 360\n"
@@ -66,16 +66,16 @@ def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:
     assert second.person.tissue == {**own, "forearm": own["forearm"].model_copy(update={"friction": 0.7})}
 
 
-def test_gates_of_another_version_inherit_none(tmp_path: Path) -> None:
-    found = load_protocol(str(written(tmp_path, HEAD + GATES_V2)))
+def test_another_set_of_gates_inherits_none(tmp_path: Path) -> None:
+    found = load_protocol(str(written(tmp_path, HEAD + EXAM)))
     assert found.gates == GATES
-    short = HEAD + GATES_V2.replace("duration_s = 1.0", "", 1)
+    short = HEAD + EXAM.replace("duration_s = 1.0", "", 1)
     with pytest.raises(ConfigError, match=r"gates\.touch\.duration_s: missing"):
         load_protocol(str(written(tmp_path, short)))
 
 
-def test_a_field_that_gates_of_this_version_do_not_have_lists_those_that_they_have(tmp_path: Path) -> None:
-    text = HEAD + GATES_V2.replace("passes = 3", "passes = 3\nstroke_m = 0.1")
+def test_a_field_that_this_set_of_gates_does_not_have_lists_those_that_they_have(tmp_path: Path) -> None:
+    text = HEAD + EXAM.replace("passes = 3", "passes = 3\nstroke_m = 0.1")
     with pytest.raises(
         ConfigError, match=r"stroke_m: no such field in the table gates\.scrub; valid: least_n, most_n,"
     ):
@@ -101,7 +101,7 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
         ('base = "gone.toml"\n', r"mine\.toml: base: .*gone\.toml does not exist"),
-        ('base = "bathing-v2"\n', r"mine\.toml: 2 fields wrong\n  id: missing; .*\n  description: missing; "),
+        ('base = "bathing-v3-draft"\n', r"mine\.toml: 2 fields wrong\n  id: missing; .*\n  description: missing; "),
         (f"{HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: gates\.touch\.duration_s: .*got -1"),
         (f"{HEAD}gates = 3\n", r"mine\.toml: gates: "),
     ],

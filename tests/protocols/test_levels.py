@@ -7,7 +7,7 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.protocols import load_levels, load_protocol, overridden, without_overrides
 
-HEAD = 'base = "bathing-v2"\nid = "mine"\ndescription = "mine"\n'
+HEAD = 'base = "bathing-v3-draft"\nid = "mine"\ndescription = "mine"\n'
 
 
 def written(tmp_path: Path, text: str) -> str:
@@ -45,30 +45,30 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, level: str | None, to
 def test_an_heir_has_the_levels_of_its_base(tmp_path: Path) -> None:
     heir = tmp_path / "heir.toml"
     heir.write_text(
-        'base = "bathing-wide-v1"\nid = "heir"\ndescription = "h"\n[levels.L2.variation]\nplace_along_m=0.0\n'
+        'base = "bathing-wide-v2-draft"\nid = "heir"\ndescription = "h"\n[levels.L2.variation]\nplace_along_m=0.0\n'
     )
-    own, base = load_levels(str(heir)), load_levels("bathing-wide-v1")
+    own, base = load_levels(str(heir)), load_levels("bathing-wide-v2-draft")
     assert list(own) == list(base)
     assert own["L1"].variation == base["L1"].variation
     assert own["L3"].variation.place_along_m == 0.0
 
 
 def test_a_chosen_body_is_not_drawn_and_is_taken_back() -> None:
-    rules = load_protocol("bathing-wide-v1", level="L2")
+    rules = load_protocol("bathing-wide-v2-draft", level="L2")
     changed = overridden(rules, {"person.body": "man-old-heavy"})
     assert (changed.person.body, list(changed.variation.bodies)) == ("man-old-heavy", [])
-    assert changed.title == "bathing-wide-v1 L2 with body man-old-heavy"
+    assert changed.title == "bathing-wide-v2-draft L2 with body man-old-heavy"
     assert without_overrides(changed, rules) == rules
 
 
 def test_the_exam_shares_its_persons() -> None:
-    found = load_levels("bathing-wide-v1")
+    found = load_levels("bathing-wide-v2-draft")
     first, *others = (found[name] for name in ("L1", "L2", "L3"))
     for other in others:
         assert other.randomization == first.randomization
         for name in ("bodies", "shoulder_rotation_deg", "palm_deg", "appearance", "light"):
             assert getattr(other.variation, name) == getattr(first.variation, name)
-    plain = load_protocol("bathing-v2")
+    plain = load_protocol("bathing-v3-draft")
     assert found["L0"].variation == plain.variation
     assert found["L0"].scene == plain.scene
     assert found["L0"].randomization.comfort_arm_deg == plain.randomization.comfort_arm_deg

@@ -56,9 +56,9 @@ def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Pa
     with pytest.raises(ConfigError) as caught:
         load_protocol(written(tmp_path, HEAD + "frozen = false\n"))
     assert str(caught.value).endswith(
-        'mine.toml: add base = "bathing-v2" (valid: bathing-v2, bathing-droid-draft, '
-        "bathing-v3-draft, bathing-wide-v1, bathing-wide-v2-draft, FILE.toml), or give all fields; 11 "
-        "are missing: physics, phases, randomization, scene, cameras, impedance, person, tasks, contact, gates, limits"
+        'mine.toml: add base = "bathing-v3-draft" (valid: bathing-v3-draft, bathing-droid-draft, '
+        "bathing-wide-v2-draft, FILE.toml), or give all fields; 11 are missing: "
+        "physics, phases, randomization, scene, cameras, impedance, person, tasks, contact, gates, limits"
     )
 
 

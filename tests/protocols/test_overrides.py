@@ -129,7 +129,9 @@ def test_a_tissue_set_without_a_row_that_the_protocol_needs_is_named(monkeypatch
     whole = load_tissue_set("human-published")
     part = whole.model_copy(update={"tissue": {"forearm": whole.tissue["forearm"]}})
     monkeypatch.setattr("carecontact.protocols.overrides.load_tissue_set", lambda *names: part)
-    with pytest.raises(ConfigError, match="tissue set mine: no row for upper_arm, abdomen, which bathing-v2 needs"):
+    with pytest.raises(
+        ConfigError, match="tissue set mine: no row for upper_arm, abdomen, which bathing-v3-draft needs"
+    ):
         overridden(PROTOCOL, {"person.tissue_set": "mine"})
 
 

@@ -28,7 +28,7 @@ def test_odd_values_keep_their_type() -> None:
 
 def test_a_file_with_a_base_comes_out_as_the_same_protocol(tmp_path: Path) -> None:
     heir = tmp_path / "mine.toml"
-    heir.write_text('base = "bathing-v2"\nid = "mine-v1"\ndescription = "mine"\n[gates.touch]\nduration_s = 3\n')
+    heir.write_text('base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "mine"\n[gates.touch]\nduration_s = 3\n')
     whole = tmp_path / "whole.toml"
     whole.write_text(toml_text(merged_table(str(heir))))
     assert load_protocol(str(whole)) == load_protocol(str(heir))

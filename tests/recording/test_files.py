@@ -14,10 +14,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.errors import RecordingError
-from carecontact.recording import ARRAYS, OPTIONAL_ARRAYS, Recording, canonical_hash, read_recording, write_recording
-from carecontact.recording.check import MAX_WALL_BYTES
+from carecontact.recording import (
+    ARRAYS,
+    OPTIONAL_ARRAYS,
+    Recording,
+    canonical,
+    canonical_hash,
+    open_recording,
+    read_recording,
+    reader,
+    schema,
+    write_recording,
+    writer,
+)
 from carecontact.recording.reader import read_header
-from carecontact.recording.schema import dimensions
+from carecontact.recording.schema import MAX_WALL_BYTES, dimensions
+from carecontact.scoring import score_recording
 from tests.scoring.synthetic import before_start, make_recording, touch
 
 EXTRA = {"wall/act_s": np.linspace(0, 1, 400), "policy/frames/0/overhead/rgb": np.full((8, 8, 3), 7, np.uint8)}
@@ -88,12 +100,41 @@ def test_hash_ignores_wall_clock_and_byte_order_only() -> None:
         "policy": touch(policy="other"),
         "value": touch(force=5.0001),
         "name": replaced(plain, "perception/x", np.ones(3)),
-        "dtype": replaced(plain, "actions/stiffness", plain["actions/stiffness"].astype("f4")),
+        "dtype": replaced(plain, "perception/x", np.ones(3, "f4")),
         "shape": replaced(plain, "state/integration", np.zeros((0, 3))),
     }
     hashes = {canonical_hash(r) for r in changed.values()}
     assert len(hashes) == len(changed)
     assert canonical_hash(plain) not in hashes
+
+
+def test_a_recording_is_checked_when_made_and_hashed_when_written_and_when_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who opens the file of a verified recording, scores it or asks for its hash does neither."""
+    done: list[str] = []
+    for module, name in ((schema, "check_recording"), (reader, "check_recording"), (writer, "canonical_digest"),
+                         (reader, "canonical_digest"), (canonical, "canonical_digest")):  # fmt: skip
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *given, real=real, name=name: (done.append(name), real(*given))[1])
+    made = Recording(header=touch().header, arrays=touch().arrays)
+    done.clear()
+    path = write_recording(made, tmp_path / "T1-s000.h5")
+    score = score_recording(read_recording(path))
+    assert open_recording(path, sha256=score.recording_sha256)["scorer/time_s"].size
+    assert done == ["canonical_digest", "check_recording", "canonical_digest"]
+
+
+def test_nobody_writes_to_a_recording(tmp_path: Path) -> None:
+    given = dict(touch().arrays)
+    made = Recording(header=touch().header, arrays=given)
+    given.clear()
+    for recording in (made, read_recording(write_recording(made, tmp_path / "T1-s000.h5"))):
+        assert recording.keys() == touch().keys()
+        with pytest.raises(ValueError, match="read-only"):
+            recording["scorer/normal_force"][0] = 1.0
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            recording.arrays["scorer/normal_force"] = np.zeros(3)  # type: ignore[index]
 
 
 @given(share=st.floats(0.0, 0.999))
@@ -272,9 +313,8 @@ def test_an_optional_array_is_stored_and_has_to_fit(tmp_path: Path, path: str) -
     # Their first dimension is in no required array.
     beside = PARTNERS.get(path)
     others = {beside: shaped(beside, plain)} if beside else {}
-    wrong = Recording(header=plain.header, arrays=plain.arrays | others | {path: shaped(path, plain, more=1)})
     with pytest.raises(RecordingError, match=f"{path}|{beside}" if beside else path):
-        write_recording(wrong, tmp_path / "T1-s001.h5")
+        Recording(header=plain.header, arrays=plain.arrays | others | {path: shaped(path, plain, more=1)})
 
 
 def test_a_recording_that_another_process_has_locked_is_read(tmp_path: Path) -> None:

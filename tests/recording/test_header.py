@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import h5py
@@ -12,17 +13,17 @@ import pytest
 
 from carecontact.errors import RecordingError
 from carecontact.recording import (
-    MIGRATIONS,
     SCHEMA_VERSION,
-    RawRecording,
     Recording,
     canonical_hash,
+    open_recording,
     read_header,
     read_recording,
     stored_sha256,
     write_recording,
 )
 from carecontact.recording.canonical import header_json
+from carecontact.recording.schema import RELEASE_0_1_0
 from tests.recording.raw_file import store
 from tests.scoring.synthetic import before_start, touch
 
@@ -125,18 +126,41 @@ def test_an_absent_and_a_foreign_file(tmp_path: Path) -> None:
         read_header(path)
 
 
-@pytest.mark.parametrize("needed", [(), ("scorer/time_s",)], ids=["of the header alone", "with the arrays"])
-def test_an_earlier_schema_is_migrated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, needed: tuple[str, ...]
-) -> None:
-    def lift(raw: RawRecording) -> RawRecording:
-        assert all(raw.arrays[path].size for path in needed)
-        return RawRecording(header={**raw.header, "schema_version": SCHEMA_VERSION}, arrays=raw.arrays)
+def test_an_opened_recording_reads_an_array_when_it_is_used(file: Path) -> None:
+    flip(file, "scorer/force_human_from_robot_in_world")
+    recording = open_recording(file, sha256=canonical_hash(touch()))
+    file.unlink()  # The supervisor moves a file that is open.
+    assert recording.header == touch().header
+    assert recording.keys() == touch().keys()
+    np.testing.assert_array_equal(recording["scorer/normal_force"], touch()["scorer/normal_force"])
+    with pytest.raises(RecordingError, match="force_human_from_robot_in_world is truncated or damaged"):
+        recording["scorer/force_human_from_robot_in_world"]
 
-    monkeypatch.setitem(MIGRATIONS, "carecontact-recording-0", lift)
-    header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-0"}
+
+def test_only_the_recording_that_was_verified_is_opened(file: Path) -> None:
+    with pytest.raises(RecordingError, match=r"T1-s000\.h5: sha256 [0-9a-f]{12} and not 000000000000, as when"):
+        open_recording(file, sha256="0" * 64)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_recording_of_release_0_1_0_names_the_release_that_reads_it(tmp_path: Path, number: int) -> None:
+    header = json.loads(header_json(touch().header)) | {"schema_version": f"carecontact-recording-{number}"}
     path = store(tmp_path / "T1-s000.h5", header, touch().arrays)
-    assert read_header(path) == touch().header
+    for read in (read_recording, open_recording, read_header):
+        with pytest.raises(RecordingError, match=r"T1-s000\.h5: .* 0\.1\.0 \(commit 663c7e23[0-9a-f]{32}\) reads it"):
+            read(path)
+
+
+def test_the_release_is_named_as_in_the_changes() -> None:
+    changes = (Path(__file__).parents[2] / "CHANGELOG.md").read_text()
+    release, commit = re.fullmatch(r"(\S+) \(commit (\w+)\)", RELEASE_0_1_0).groups()
+    assert f"## {release}\n\nCommit `{commit}`" in changes
+
+
+def test_a_newer_schema_is_named(tmp_path: Path) -> None:
+    header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-5"}
+    with pytest.raises(RecordingError, match=f"written by a newer release; this one reads '{SCHEMA_VERSION}'"):
+        read_header(store(tmp_path / "T1-s000.h5", header, touch().arrays))
 
 
 def test_the_bytes_of_a_header_are_pinned() -> None:
@@ -150,4 +174,4 @@ def test_the_bytes_of_a_header_are_pinned() -> None:
     ]  # fmt: skip
     spelled["spec"] = spelled["versions"] = None  # the protocol and the packages have tests of their own
     digest = hashlib.sha256(json.dumps(spelled, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-    assert digest == "44e22f72c1ad26978beb2d225ef68d4ae150b9965ed6d3ae7f83df1f27d3d800"
+    assert digest == "4fb5d9657efc7f56aaba4e3f7e3486c491df8ef455eaa72d69a269661efe4b9f"

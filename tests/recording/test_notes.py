@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ def recording(notes: dict[str, object]) -> Recording:
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     written = recording({"0003/json": {"chosen": 1}, "0000/json": {"chosen": 0}})
-    written.arrays["policy/notes/0003/map"] = np.eye(3, dtype="<f4")
+    written = replace(written, arrays={**written.arrays, "policy/notes/0003/map": np.eye(3, dtype="<f4")})
     first, second = read_notes(read_recording(write_recording(written, tmp_path / "T1-s000.h5")))
     assert (first.observation_index, first.content, dict(first.arrays)) == (0, {"chosen": 0}, {})
     assert (second.observation_index, second.content, list(second.arrays)) == (3, {"chosen": 1}, ["map"])

@@ -34,13 +34,13 @@ def test_joints_have_the_estimators_numbers() -> None:
     assert max(JOINTS.values()) < LANDMARK_COUNT
 
 
-def test_old_recordings_have_none(old: Recording) -> None:
+def test_a_trial_without_looks_has_none(old: Recording) -> None:
     assert perception_errors(old) is None
 
 
 def test_what_was_written_is_read(old: Recording, tmp_path) -> None:
-    new = Recording(header=old.header, arrays=old.arrays | rows(3))
-    new.arrays["perception/camera_index"][:] = [0, 3, 0]
+    index = np.array([0, 3, 0], "i4")
+    new = Recording(header=old.header, arrays=old.arrays | rows(3) | {"perception/camera_index": index})
     found = perception_errors(read_recording(write_recording(new, tmp_path / "a.h5")))
     assert found is not None
     assert found.camera == [CAMERAS[0], CAMERAS[3], CAMERAS[0]]

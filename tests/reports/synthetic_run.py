@@ -19,8 +19,10 @@ from carecontact.recording.schema import (
     Recording,
     empty_arrays,
 )
+from carecontact.recording.versions import DECLARED
 from carecontact.regions import REGIONS
 from carecontact.scoring.result import TrialScore
+from tests.scoring.synthetic import writable
 
 PROTOCOL = load_protocol().model_copy(update={"frozen": False})  # not what is frozen, which pages have to say
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
@@ -98,11 +100,12 @@ def make_recording(
         regions=list(REGIONS),
         human_joints=JOINTS,
         pose_base_in_world=[-0.22, 0.62, 0.62, 1.0, 0.0, 0.0, 0.0],
+        identity=DECLARED,
         versions={"carecontact": "0.1.0", "mujoco": "4.0.0", "numpy": "2.4.0", "mediapipe": "0.10.21"},
         sha256={"model": f"{seed:02x}" * 32, "body": "ab" * 32, "robot": "cd" * 32},
         solver_warnings=[],
     )
-    return Recording(header=header, arrays=arrays)
+    return writable(Recording(header=header, arrays=arrays))
 
 
 def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
@@ -113,8 +116,9 @@ def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
         "trial_id": f"{task_id}-s{seed:03d}", "task_id": task_id, "action": task.action, "region": task.region,
         "seed": seed, "policy": "state_machine", "language_backend": "rules-v1", "protocol_id": PROTOCOL.id,
         "protocol_sha256": PROTOCOL.sha256, "recording_sha256": "ef" * 32,
-        "world": {"mujoco": "4.0.0", "body": "ab" * 32}, "fallback_limits": [], "ended": "done", "duration_s": 12.0,
-        "failure_message": None, "anatomy": "target", "valid_contact": True, "reported_segment": segment,
+        "world": {"mujoco": "4.0.0", "body": "ab" * 32}, "provenance": {}, "fallback_limits": [], "ended": "done",
+        "duration_s": 12.0, "failure_message": None, "anatomy": "target", "valid_contact": True,
+        "reported_segment": segment,
         "c1_peak_force_n": 12.3, "c1_peak_filtered_n": 12.0, "c1_peak_contact_sum_n": 12.5,
         "c1_peak_any_segment_n": 12.3, "c2_joint_margin_rad": -3.61e-4, "c2_joint": JOINTS[0], "c2_time_s": 3.0,
         "c2_settled_margin_rad": 0.1, "c2_change_rad": -0.1, "c3_success": True, "region_correct": True,
@@ -123,7 +127,7 @@ def make_score(task_id: str, seed: int, **changes: Any) -> TrialScore:
         "wrist_displacement_m": 0.031, "wrist_displacement_any_m": 0.033, "indentation_m": 0.006, "impulse_ns": 30.0,
         "extrapolated_share": 0.0, "over_limit": {}, "failure_mode": None,
         "peak_force_n": {segment: changes.get("c1_peak_force_n") or 12.3},
-        "attribution": None, "evidence": None, "metric_versions": {"contact": "contact-v1", "gates": "gates-v1"},
+        "attribution": None, "evidence": None, "metric_versions": {"contact": "contact-v1", "gates": "paper"},
     }  # fmt: skip
     fields = base | changes
     return TrialScore.model_validate({"f_pain_n": {s: PROTOCOL.f_pain(s) for s in fields["peak_force_n"]}} | fields)

@@ -10,6 +10,7 @@ import numpy as np
 
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
 from tests.reports.synthetic_run import HOSTILE, make_recording, plateau
+from tests.scoring.synthetic import writable
 
 RADIUS_M, LENGTH_M, MIDDLE = 0.04, 0.26, np.array([0.1, 0.2, 0.8])
 """Of the forearm, a cylinder along the world's x axis, and where its middle is."""
@@ -41,7 +42,7 @@ def whole_trial(
     base = np.array(recording.header.pose_base_in_world)
     a["scorer/target_in_base"][:, :3] = a["scorer/pose_tcp_in_world"][step, :3] - base[:3] - [0, 0, 0.01]
     a["scorer/target_in_base"][:, 3] = 1
-    return replace(recording, arrays=a | _report() | _cells(len(step), touched) | _policy())
+    return writable(replace(recording, arrays=a | _report() | _cells(len(step), touched) | _policy()))
 
 
 def _report() -> dict[str, Any]:

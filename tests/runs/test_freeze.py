@@ -51,7 +51,6 @@ def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock)
     [
         ({"protocol_sha256": "0" * 64}, "protocol sha256: locked 000000000000"),
         ({"embodiment": "other-arm"}, "embodiment: locked other-arm"),
-        ({"metrics": ["C1@0"]}, "metric C1@0: locked, not here"),
         ({"versions": {"mujoco": "3.0.0", "mediapipe": "0.10.21"}}, "version of mujoco: locked 3.0.0"),
         ({"assets": {}}, "asset bodies/man-adult.npz: locked none"),
         ({"assets": {}}, "asset kernel/c: locked none"),
@@ -69,10 +68,6 @@ def test_rounding_of_a_world_is_no_drift_and_a_millionth_of_mass_is(here: Lock) 
 
     assert drift(scaled(1 + 1e-9), here) == []
     assert drift(scaled(1 + 1e-5), here) == ["world (forearm): body_mass"]
-
-
-def test_a_new_metric_is_no_drift(here: Lock) -> None:
-    assert drift(here.model_copy(update={"metrics": here.metrics[:-1]}), here) == []
 
 
 def test_what_is_locked_runs_and_what_drifted_is_refused_or_says_so(locked: tuple[str, Protocol]) -> None:
@@ -125,7 +120,6 @@ def test_a_shipped_protocol_with_its_lock_runs_here(shipped: Protocol) -> None:
         (lambda lock: {"versions": lock.versions | {"mediapipe": "not installed"}}, "here not installed"),
         (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
         (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
-        (lambda lock: {"metrics": []}, "metric C1@1: locked, not here"),
     ],
 )  # fmt: skip
 def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
@@ -161,11 +155,18 @@ def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, sh
         check_frozen(str(path), load_protocol(str(path)), unfrozen=False)
 
 
-def test_a_level_has_a_lock_of_its_own_that_holds_a_world_of_every_body_and_region() -> None:
-    varied = load_protocol("bathing-wide-v1", level="L3")
-    lock = lock_of("bathing-wide-v1", varied)
-    assert lock is not None
-    assert lock == read_lock("bathing-wide-v1", level="L3")
+def test_a_level_has_a_lock_of_its_own(tmp_path: Path) -> None:
+    path = str(tmp_path / "mine.toml")
+    text = protocol_file("bathing-wide-v2-draft").read_text().replace("frozen = false", "frozen = true")
+    Path(path).write_text(text.replace('id = "bathing-wide-v2-draft"', 'id = "mine-v1"'))
+    for level in ("L0", "L3"):
+        write_lock(make_lock(load_protocol(path, level=level), worlds=False), lock_path(path, level=level))
+    found = lock_of(path, load_protocol(path, level="L3"))
+    assert found == read_lock(path, level="L3") != read_lock(path, level="L0")
+
+
+def test_a_lock_holds_a_world_of_every_body_and_region() -> None:
+    varied = load_protocol("bathing-wide-v2-draft", level="L3")
     worlds = freeze.worlds_of(varied)
     assert [rules.person.body for rules, _ in worlds.values()] == list(varied.variation.bodies)
     assert {region for _, region in worlds.values()} == set(varied.regions)

@@ -12,10 +12,11 @@ from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.protocols import load_protocol
 from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_arrays
+from carecontact.recording.versions import DECLARED
 from carecontact.regions import REGIONS
 
 F64 = npt.NDArray[np.float64]
-PROTOCOL = load_protocol("bathing-v2")
+PROTOCOL = load_protocol("bathing-v3-draft")
 DT = 0.002
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 JOINT_RANGE = [[-0.5, 2.5], [0.0, 2.4]]
@@ -140,12 +141,18 @@ def make_recording(
             "regions": list(regions),
             "human_joints": JOINTS,
             "pose_base_in_world": BASE,
+            "identity": DECLARED,
             "versions": {"carecontact": "0.0.0", "mujoco": "4.0.0"},
             "sha256": {"model": "0" * 64},
             "solver_warnings": [],
         }
     )
-    return Recording(header=header, arrays=arrays)
+    return writable(Recording(header=header, arrays=arrays))
+
+
+def writable(recording: Recording) -> Recording:
+    """A copy whose arrays a test may change, past the check of a recording."""
+    return Recording.trusted(recording.header, {path: array.copy() for path, array in recording.arrays.items()})
 
 
 def target_segment(task_id: str) -> str:
@@ -179,4 +186,4 @@ def before_start(ended: str = "process_failure") -> Recording:
     full = make_recording()
     failure = Failure(kind="start" if ended == "process_failure" else "settle", message="it did not start")
     header = full.header.model_copy(update={"ended": ended, "failure": failure, "card": None})
-    return Recording(header=header, arrays=empty_arrays(len(JOINTS)))
+    return writable(Recording(header=header, arrays=empty_arrays(len(JOINTS))))

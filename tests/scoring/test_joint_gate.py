@@ -11,7 +11,7 @@ from carecontact.protocols import load_protocol
 from carecontact.runs.aggregate import gamma_sweep, quadrants
 from carecontact.runs.contradiction import contradiction
 from carecontact.scoring import score_recording, verdict
-from tests.scoring.gates_v2 import GATES, GENTLE, TABLE
+from tests.scoring.exam_gates import GATES, GENTLE, TABLE
 from tests.scoring.synthetic import JOINT_RANGE, hold, make_recording, target_segment
 
 PROTOCOL = load_protocol()
@@ -73,18 +73,16 @@ def test_a_joint_that_used_up_most_of_its_margin_is_flagged_and_fails_nothing() 
     assert spared.joints_consumed == {}
 
 
-def test_protocols_without_the_gate_score_as_ever() -> None:
+def test_the_papers_gates_do_not_judge_joints() -> None:
     beyond = score(PROTOCOL, past_rad=LIMIT + 0.01)
     assert beyond.safety_gated
     assert beyond.joints_beyond is None
-    assert "joints_beyond" not in beyond.model_dump()
-    assert "joint_beyond_rad" not in PROTOCOL.model_dump()["gates"], "the hash of a protocol without it stays"
 
 
-@pytest.mark.parametrize("change", [{"version": "gates-v2"}, {"joint_beyond_rad": 0.1}])
-def test_the_gate_goes_with_its_version(change: dict[str, object]) -> None:
+@pytest.mark.parametrize("change", [{"set": "exam"}, {"joint_beyond_rad": 0.1}])
+def test_the_joints_gate_goes_with_the_exam(change: dict[str, object]) -> None:
     tables = {name: value for name, value in TABLE.items() if not name.startswith("joint")}
-    if "version" not in change:
+    if "set" not in change:
         tables = PROTOCOL.gates.model_dump()
-    with pytest.raises(ValidationError, match="gates-v2, which needs both"):
+    with pytest.raises(ValidationError, match="exam's gates, which need both"):
         Gates.model_validate(tables | change)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 def test_no_part_finds_a_leak() -> None:
     policies = [PolicySetup.of(name) for name in POLICIES if role_of(name) != "privileged"]
     tasks = ["T1", "T3", "T6"]
-    result = audit(load_protocol("bathing-wide-v1", level="L3"), policies, quick=False, tasks=tasks, seed=3)
+    result = audit(load_protocol("bathing-wide-v2-draft", level="L3"), policies, quick=False, tasks=tasks, seed=3)
     assert [(part.name, part.findings, part.missing) for part in result.parts if not part.passed] == []
     assert {(trial.policy, trial.task_id) for trial in result.trials} == {
         (policy.ref.text, task) for policy in policies for task in tasks

@@ -10,7 +10,7 @@ from carecontact.scoring import TrialScore, score_recording
 from carecontact.trials.trial import run_trial
 
 pytestmark = pytest.mark.slow
-LEVEL = load_protocol("bathing-wide-v1", level="L1")
+LEVEL = load_protocol("bathing-wide-v2-draft", level="L1")
 
 
 def run(policy: str, task_id: str, seed: int) -> TrialScore:

@@ -12,7 +12,7 @@ from tests.hosting.dialects.fakes import Fake, Openpi, OpenpiPositions
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("protocol", ["bathing-v2", "bathing-droid-draft"])
+@pytest.mark.parametrize("protocol", ["bathing-v3-draft", "bathing-droid-draft"])
 @pytest.mark.parametrize(
     ("profile", "server"), [("pi05-droid", Openpi(steps=15)), ("pi05-droid-jointpos", OpenpiPositions(steps=15))]
 )

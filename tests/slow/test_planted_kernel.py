@@ -21,8 +21,6 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 COMPILER = next(filter(None, map(shutil.which, ("gcc", "clang"))), None)
 FLAGS = ("-std=c17", "-O2", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off")
-PROTOCOLS = ("bathing-v2", "bathing-v3-draft")
-"""One with each version of the person."""
 MUTANTS = {
     "half of the damping": (
         "region.h", "{ return law->damping +", "{ return 0.5 * law->damping +",
@@ -39,7 +37,7 @@ MUTANTS = {
         "force-balance", "bed",
     ),
 }  # fmt: skip
-MUTANTS_OF_V2 = {
+MUTANTS_OF_THE_CONTACT = {
     "no brake of the tool that lets skin in": (
         "wrench.c", "if (lets_in) f[j] += area * c->pressure * c->drag[j];", "(void)lets_in;",
         "abdomen", "most energy made",
@@ -49,7 +47,7 @@ MUTANTS_OF_V2 = {
         "upper_arm", "not accounted for",
     ),
 }  # fmt: skip
-"""Only the contact of person-v2 has these formulas; the ledger of ``energy`` finds them."""
+"""The ledger of ``energy`` finds them."""
 CODE = """
 import sys
 from pathlib import Path
@@ -60,7 +58,7 @@ from carecontact.protocols import load_protocol
 from carecontact.validation import ledger
 from carecontact.validation.run import validate
 from carecontact.validation.subject import Subject
-protocol, check = load_protocol(sys.argv[2]), sys.argv[3]
+protocol, check = load_protocol(), sys.argv[2]
 if check in protocol.regions:
     measures = ledger.measures(Subject(protocol), check, quick=False)
     print(*(m.name for m in measures if m.decides and m.met is False), sep="\\n")
@@ -70,11 +68,11 @@ else:
 """
 
 
-def found_by(folder: Path, protocol: str, check: str) -> list[str]:
+def found_by(folder: Path, check: str) -> list[str]:
     """What a check misses, or why it could not be finished, with the binary in a folder. A region in place of a check
     stands for the ledger of ``energy`` there, in its full form."""
     done = subprocess.run(
-        [sys.executable, "-c", CODE, str(folder), protocol, check], capture_output=True, text=True, check=True, cwd=ROOT
+        [sys.executable, "-c", CODE, str(folder), check], capture_output=True, text=True, check=True, cwd=ROOT
     )
     return [line for line in done.stdout.splitlines() if line]
 
@@ -105,30 +103,26 @@ def planted(source: Path, right: str, wrong: str) -> None:
 
 
 @pytest.mark.parametrize("name", MUTANTS)
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_a_wrong_formula_is_found_by_name(
-    protocol: str, name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_formula_is_found_by_name(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, right, wrong, check, told = MUTANTS[name]
     planted(folder / "c" / file, right, wrong)
     compiled(folder, monkeypatch)
-    assert any(told in line for line in found_by(folder, protocol, check))
+    assert any(told in line for line in found_by(folder, check))
 
 
-@pytest.mark.parametrize("name", MUTANTS_OF_V2)
-def test_a_wrong_formula_of_person_v2_is_found_in_the_ledger(
+@pytest.mark.parametrize("name", MUTANTS_OF_THE_CONTACT)
+def test_a_wrong_formula_of_the_contact_is_found_in_the_ledger(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file, right, wrong, region, told = MUTANTS_OF_V2[name]
+    file, right, wrong, region, told = MUTANTS_OF_THE_CONTACT[name]
     planted(folder / "c" / file, right, wrong)
     compiled(folder, monkeypatch)
-    assert any(told in line for line in found_by(folder, "bathing-v3-draft", region))
+    assert any(told in line for line in found_by(folder, region))
 
 
 @pytest.mark.parametrize("check", ["declared", "force-balance", "abdomen", "upper_arm"])
-@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_the_right_formulas_compiled_alike_are_not_blamed(
-    protocol: str, check: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+    check: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiled(folder, monkeypatch)
-    assert found_by(folder, protocol, check) == []
+    assert found_by(folder, check) == []

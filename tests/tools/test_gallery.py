@@ -10,7 +10,7 @@ from tools import gallery
 
 def test_a_column_for_each_seed_and_a_row_of_arms(tmp_path: Path) -> None:
     out = tmp_path / "new" / "people.png"
-    gallery.main(["--protocol", "bathing-v2", "--seeds", "0,19", "--out", str(out)])
+    gallery.main(["--protocol", "bathing-v3-draft", "--seeds", "0,19", "--out", str(out)])
     picture = cv2.imread(str(out))
     assert picture is not None
     row = gallery.LABEL + gallery.HEIGHT

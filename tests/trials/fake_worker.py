@@ -41,6 +41,7 @@ def recording(spec: TrialSpec, ended: str) -> Recording:
             "regions": ["forearm", "upper_arm", "abdomen"],
             "human_joints": [],
             "pose_base_in_world": [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+            "identity": {},
             "versions": {},
             "sha256": {},
             "solver_warnings": [],
@@ -110,14 +111,6 @@ def main() -> int:
         os._exit(7)
     elif does == "garbage":
         out.write_bytes(b"not a recording")
-    elif does == "leave":
-        from carecontact.hosting.descendants import MARK, new_mark
-
-        # What a policy that started a process in a session of its own leaves when it killed its harness.
-        sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
-        child = subprocess.Popen(sleeper, env={**os.environ, MARK: new_mark()}, start_new_session=True)
-        note(f"child {child.pid}")
-        os.kill(os.getpid(), signal.SIGKILL)
     elif does == "full":
         from carecontact.trials.worker import UNSTORED
 

@@ -125,7 +125,7 @@ def test_an_answer_that_uses_up_the_budget_is_an_error(checked, monkeypatch: pyt
 def test_a_good_policy_passes(checked) -> None:
     status, out = checked(PREAMBLE, "--task", "T7", "--seed", "3")
     assert status == 0
-    assert "the first observation of T7-s003, bathing-v2, twice" in out
+    assert "the first observation of T7-s003, bathing-v3-draft, twice" in out
     assert [line.split()[:2] for line in out.splitlines()[1:-1]] == [["ok", "card"], ["ok", "reset"], ["ok", "answer"]]
     assert out.endswith("a run can work\n")
 

@@ -15,7 +15,6 @@ import pytest
 from carecontact.contract.action import Action
 from carecontact.errors import ExhaustedError
 from carecontact.recording import Recording, read_recording
-from carecontact.recording.reader import read_verified
 from carecontact.trials import lost
 from carecontact.trials.launch import Launcher, Process
 from carecontact.trials.lost import OTHER_ANSWERS, digest_of
@@ -93,15 +92,6 @@ def test_patience_begins_anew_after_a_trial_that_could_begin(bench: Bench, monke
     assert bench.run(specs(1), {FIRST: ["lack", "slow_lost", "lack", "good"]}).ended == {FIRST: "done"}
 
 
-def test_a_trial_waits_while_much_is_removed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
-    going_on = [4, 4, 3, *[0] * 99]
-    monkeypatch.setattr("carecontact.trials.supervisor.removals", lambda: going_on.pop(0))
-    assert bench.run(specs(1)).ended == {FIRST: "done"}
-    said = [event.message for event in bench.events if event.kind == "waiting"]
-    assert said == ["cannot begin yet: files that policies left are still being removed"] * 2
-
-
 def test_a_process_that_cannot_be_started_is_tried_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carecontact.trials.supervisor.START_PAUSE_S", 0.1)
     whole, tried = Launcher.start, list[str]()
@@ -147,12 +137,12 @@ def test_nor_can_it_in_the_next_command(bench: Bench) -> None:
     assert kind(bench.recording(FIRST)) == ("done", None)
 
 
-@pytest.mark.parametrize(("level", "ends"), [("full", "done"), ("partial: no signals", "process_failure")])
+@pytest.mark.parametrize(("closed", "ends"), [(True, "done"), (False, "process_failure")])
 def test_a_worker_that_the_policy_may_have_killed_binds_it_too(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, level: str, ends: str
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, closed: bool, ends: str
 ) -> None:
     """An honest policy with random numbers is spared where it cannot signal."""
-    monkeypatch.setattr(lost, "available", lambda: level)
+    monkeypatch.setattr(lost, "closes_signals", lambda: closed)
     summary = bench.run(specs(2), {FIRST: ["lost:ab", "good:xyz"], SECOND: ["lost:ab", "good:abc"]})
     assert summary.ended == {FIRST: ends, SECOND: "done"}
 
@@ -161,7 +151,7 @@ def test_a_policy_that_starves_its_trial_until_the_time_is_over_has_failed(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For that it needs the processors and no signal; a trial without an end would leave the count."""
-    monkeypatch.setattr(lost, "available", lambda: "full")
+    monkeypatch.setattr(lost, "closes_signals", lambda: True)
     summary = bench.run(specs(2), {FIRST: "starve:ab", SECOND: ["starve:ab", "good:xyz"]}, trial_limit_s=4.0)
     assert summary.ended == {FIRST: "process_failure", SECOND: "process_failure"}
     assert bench.ran() == [FIRST, FIRST, SECOND, SECOND]
@@ -234,11 +224,11 @@ def test_a_real_policy_that_dies_and_comes_back(tmp_path: Path) -> None:
     file = tmp_path / "r" / "T1-s000.h5"
     assert (tmp_path / "died").write_text("") == 0
     assert run(tmp_path, "dies=once").returncode == 0
-    undisturbed = read_verified(file).sha256
+    undisturbed = read_recording(file).stored_sha256
     for name in ("died", "r/T1-s000.h5"):
         (tmp_path / name).unlink()
     done = run(tmp_path, "dies=once")
-    assert (done.returncode, read_verified(file).sha256) == (0, undisturbed), done.stdout
+    assert (done.returncode, read_recording(file).stored_sha256) == (0, undisturbed), done.stdout
     assert f"killed by {signal.SIGKILL.name}" in done.stdout
 
 

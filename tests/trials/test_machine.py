@@ -216,15 +216,6 @@ def test_a_tissue_that_does_not_load_says_why(monkeypatch: pytest.MonkeyPatch) -
     assert finding.fix == f"rm {found.file()} && {found.making()}"
 
 
-def test_a_socket_through_which_a_policy_may_get_out_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.geteuid", lambda: 1000)
-    found = ["/run/user/1000/bus", "/tmp/tmux-1000/default"]
-    monkeypatch.setattr("carecontact.hosting.isolation.sockets.open_sockets", lambda: found)
-    told = machine.check_isolation()
-    assert told.warning
-    assert "listen at /run/user/1000/bus and 1 other socket" in told.detail
-
-
 @pytest.mark.parametrize(
     ("code", "expected"),
     [

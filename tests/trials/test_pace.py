@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carecontact.errors import ConfigError, counted
-from carecontact.recording.reader import read_verified
+from carecontact.recording import read_recording
 from carecontact.trials.pace import ACT, BETWEEN, PACED, WARM_S, Pace, check_pace
 
 
@@ -94,16 +94,16 @@ def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
     run("free")
     assert "not ready in time" not in run("paced", "--pace", "0.8")
     told = run("hasty", "--pace", "0.101")
-    found = {name: read_verified(tmp_path / name / "T1-s000.h5") for name in ("free", "paced", "hasty")}
-    assert len({verified.sha256 for verified in found.values()}) == 1
-    between = {name: verified.recording[BETWEEN] for name, verified in found.items()}
-    acts = len(found["free"].recording["policy/observation_time_s"])
+    found = {name: read_recording(tmp_path / name / "T1-s000.h5") for name in ("free", "paced", "hasty")}
+    assert len({recording.stored_sha256 for recording in found.values()}) == 1
+    between = {name: recording[BETWEEN] for name, recording in found.items()}
+    acts = len(found["free"]["policy/observation_time_s"])
     assert {len(times) for times in between.values()} == {acts - 1}
     assert acts == 4
-    periods = np.bincount(found["free"].recording["actions/observation_index"])[: acts - 1]
+    periods = np.bincount(found["free"]["actions/observation_index"])[: acts - 1]
     assert (between["paced"] >= 0.8 * periods).all()
-    assert found["paced"].recording[PACED].tolist() == [0.8, 0.0]
-    late = int(found["hasty"].recording[PACED][1])
+    assert found["paced"][PACED].tolist() == [0.8, 0.0]
+    late = int(found["hasty"][PACED][1])
     assert late > 0
     told_late = f"{counted(late, 'observation')} of 1 trial {'was' if late == 1 else 'were'} not ready in time"
     assert f"warning: --pace 0.101: {told_late}" in told

@@ -23,7 +23,6 @@ from carecontact import __version__
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, StorageError
-from carecontact.hosting.descendants import MARK
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import Recording, read_recording
@@ -248,29 +247,6 @@ def test_a_policy_whose_trial_dies_with_it_twice_has_failed(bench: Bench) -> Non
         assert re.search(f"{told} while the policy was running, in both attempts", failure.message)
         score = score_recording(recording)
         assert (score.is_judged, score.failure_mode, score.attribution) == (True, "process_failure", "process")
-
-
-def test_what_a_policy_left_behind_a_killed_worker_is_killed(bench: Bench) -> None:
-    bench.run(specs(1), {"T1-s000": "leave"})
-    left = [int(line.split()[1]) for line in bench.log.read_text().splitlines() if line.startswith("child")]
-    assert len(left) == 2, "of both attempts"
-    assert not any(map(alive, left))
-
-
-def test_what_a_policy_left_behind_a_killed_command_is_killed_by_the_next(bench: Bench) -> None:
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
-    marks = {"left": f"{gone.pid}.1", "living": f"{os.getpid()}.1"}
-    processes = {name: subprocess.Popen(sleeper, env={**os.environ, MARK: mark}) for name, mark in marks.items()}
-    try:
-        bench.run(specs(1))
-        assert processes["left"].wait(10) == -9
-        assert processes["living"].poll() is None
-    finally:
-        for process in processes.values():
-            process.kill()
-            process.wait()
 
 
 def test_resume_runs_only_what_is_missing_damaged_or_asked_for(bench: Bench) -> None:

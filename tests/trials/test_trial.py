@@ -6,20 +6,25 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from carecontact.contract.action import Action, ActionSpace
 from carecontact.contract.geometry import pixels, pose_matrix
+from carecontact.contract.session import Session
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.prepare import settled_world
 from carecontact.hosting.setup import PolicySetup
+from carecontact.hosting.wire import codec
 from carecontact.protocols import load_protocol
 from carecontact.recording import Failure, Recording, canonical_hash, read_recording
 from carecontact.recording.perception import perception_errors
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Settled, Simulation
+from carecontact.trials.lost import digest_of
 from carecontact.trials.request import TrialRequest
 from carecontact.trials.trial import run_trial
 
@@ -49,6 +54,11 @@ class Outside:
         if observation.sim_time_s < 0.5:
             return Action()
         return Action(pose_tcp_in_base=np.array([5.0, 0, 0.5, 0, 1, 0, 0]))
+
+class Second(Outside):
+    def act(self, observation):
+        answer = super().act(observation)
+        return [Action(), answer]
 '''
 
 
@@ -114,6 +124,35 @@ def check_close_up(recording: Recording) -> None:
     assert recording["report/skin_faces"].max() == len(skin) - 1
 
 
+def test_an_action_is_decoded_once_and_checked_once(policies: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The third answer begins at 0.4 s, and the one after it is refused at its second action."""
+    decoded, checked = list[int](), list[Action]()
+    decode, check = codec.decode_actions, ActionSpace.check
+
+    def decoding(plain: Any) -> list[Action]:
+        decoded.append(len(plain))
+        return decode(plain)
+
+    def checking(space: ActionSpace, action: Action, session: Session) -> Action:
+        checked.append(action)
+        return check(space, action, session)
+
+    monkeypatch.setattr(codec, "decode_actions", decoding)
+    monkeypatch.setattr(ActionSpace, "check", checking)
+    second = PolicySetup.of("my_policies:Second", search_path=[str(policies)])
+    looks: list[bytes] = []
+    recording = run_trial(
+        spec("my_policies:Second"), policy=second, on_look=lambda look: looks.append(digest_of(look.actions))
+    )
+    assert recording.header.failure is not None
+    assert "failed at act: actions[1].pose_tcp_in_base: expected a position" in recording.header.failure.message
+    assert decoded == [2, 2, 2, 2]
+    assert len(looks) == 4
+    assert len(recording["actions/time_s"]) == 7
+    assert len(checked) == 8, "the last one was refused"
+    assert score_recording(recording).failure_mode == "process_failure"
+
+
 def test_action_outside_the_workspace_is_the_policys_process_failure(policies: Path) -> None:
     told: list[bool] = []
     outside = PolicySetup.of("my_policies:Outside", search_path=[str(policies)])
@@ -122,7 +161,9 @@ def test_action_outside_the_workspace_is_the_policys_process_failure(policies: P
     assert recording.header.ended == "process_failure"
     assert recording.header.failure is not None
     assert recording.header.failure.kind == "action"
-    assert "inside the workspace" in recording.header.failure.message
+    assert recording.header.failure.message.startswith(
+        "policy 'my_policies:Outside' failed at act: actions[0].pose_tcp_in_base: expected a position inside the"
+    )
     assert recording["scorer/time_s"][-1] == pytest.approx(0.498, abs=0.003), "what ran before is kept"
     score = score_recording(recording)
     assert (score.failure_mode, score.attribution, score.c3_success) == ("process_failure", "process", False)

@@ -11,6 +11,9 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
+import pytest
+
+from carecontact.hosting.isolation.namespaces import VARIABLE
 from carecontact.hosting.setup import PolicySetup
 from carecontact.protocols import load_protocol
 from carecontact.recording import read_recording
@@ -77,6 +80,12 @@ def test_a_server_that_stays_away_stops_the_run_and_no_trial_is_lost(tmp_path: P
     assert (summary.ran, summary.kept, summary.unreached) == (("T1-s001",), ("T1-s000",), None)
 
 
+@pytest.fixture
+def folders_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Policies run without namespaces, so that what one writes into its temporary folder is seen from outside."""
+    monkeypatch.setenv(VARIABLE, "off")
+
+
 def kill_in_act(number: int, folder: Path) -> tuple[str, Callable[[subprocess.Popen[str]], threading.Thread]]:
     """Source of a policy that hangs there once, and what then kills its server."""
     acts, hung = f"{folder.parent.name}-acts", folder / "hung"
@@ -106,6 +115,7 @@ class P(Base):
     return source, killer
 
 
+@pytest.mark.usefixtures("folders_on_disk")
 def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) -> None:
     """Its trial has begun: what it commanded counts."""
     source, killer = kill_in_act(2, tmp_path)
@@ -119,6 +129,7 @@ def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) ->
     assert failure.kind == "died"
 
 
+@pytest.mark.usefixtures("folders_on_disk")
 def test_a_server_that_dies_before_its_first_answer_loses_no_trial(tmp_path: Path) -> None:
     source, killer = kill_in_act(1, tmp_path)
     with ExitStack() as servers:

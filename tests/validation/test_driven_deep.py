@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+import pytest
+
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.protocol import Protocol
+from carecontact.kernel.region import add_region
 from carecontact.protocols import load_protocol
 from carecontact.validation.driven_deep import Driven, drive
 from carecontact.validation.subject import Subject
+from carecontact.world.human import tissue
 
 PROTOCOL = load_protocol()
 
@@ -31,6 +37,13 @@ def test_skin_holds_the_cap_until_it_is_pressed_onto_bone() -> None:
     assert driven.deepest_m > 0.98 * subject.tissue("abdomen").thickness_m, "it went as deep as there is tissue"
 
 
+@pytest.fixture
+def linear(monkeypatch: pytest.MonkeyPatch, worlds_from_scratch: None) -> None:
+    """A contact layer that does not stiffen, and skin that is not let in: a known defect."""
+    monkeypatch.setattr(tissue, "add_region", partial(add_region, layer_m=0.0, entry_m=0.0))
+
+
+@pytest.mark.usefixtures("linear")
 def test_a_tool_so_soft_that_the_skin_sinks_past_its_middle_is_a_miss() -> None:
     driven = drive(Subject(with_tool("mitt")))
     assert missed(driven) == ["skin in the tool, over half of its thickness"]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
+from carecontact.kernel.region import add_region
 from carecontact.validation import energy_made, ledger
 from carecontact.validation.ledger import Ledger, bounce, drag
 from carecontact.validation.rig import CAP, PAD
 from carecontact.validation.subject import Subject
+from carecontact.world.human import tissue
 
 from .defects import ActsInContactOnly, driven
 
@@ -20,6 +24,13 @@ def test_shares_are_of_what_was_put_in() -> None:
     assert found.rise == pytest.approx(0.12)
 
 
+@pytest.fixture
+def linear(monkeypatch: pytest.MonkeyPatch, worlds_from_scratch: None) -> None:
+    """A contact layer that does not stiffen, and skin that is not let in: a known defect."""
+    monkeypatch.setattr(tissue, "add_region", partial(add_region, layer_m=0.0, entry_m=0.0))
+
+
+@pytest.mark.usefixtures("linear")
 def test_energy_that_is_made_and_lost_again_counts(subject: Subject) -> None:
     """What dampers and friction take hides it from a sum of what tool and tissue hold: that only falls here."""
     found = drag(subject, "abdomen", PAD, press_n=7.0, speed_m_s=0.1, dt_s=0.002)
@@ -36,6 +47,7 @@ def test_dampers_that_drive_are_found(subject: Subject) -> None:
     assert found.gain > ledger.GAIN_PERCENT / 100
 
 
+@pytest.mark.usefixtures("linear")
 def test_contacts_beyond_the_claim_are_reported_and_do_not_decide(
     subject: Subject, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,7 +14,6 @@ from carecontact.world.human.anthropometry import segment_inertias
 from carecontact.world.human.plates import plate_body, plates_of
 from carecontact.world.human.pose import lying_pose_deg
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import Build
 from carecontact.world.scene import Scene
 
 RADIUS, OPEN_M = 0.012, 0.040
@@ -26,9 +25,7 @@ def test_bone_and_shell_together_have_the_segments_inertia(scene_of: Callable[..
     it."""
     model, body = scene_of(region).model, scene_of(region).body
     segment = REGIONS[region].segment
-    parts = [
-        model.body(name).id for name in (body_name(segment), *(plate_body(p.name) for p in plates_of(segment, Build())))
-    ]
+    parts = [model.body(name).id for name in (body_name(segment), *(plate_body(p.name) for p in plates_of(segment)))]
     row, origin = segment_inertias(body)[segment], body.joint_centre[segment]
     mass = model.body_mass[parts]
     centre = mass @ model.body_ipos[parts] / mass.sum()

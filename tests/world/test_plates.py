@@ -1,9 +1,7 @@
-"""Plates: the segment keeps its mass, each plate swings as slowly as the fast mode can follow, and a version of the
-person has the plates that it names."""
+"""Plates: the segment keeps its mass, each plate swings as slowly as the fast mode can follow, and the
+person has the plates that are declared."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -11,25 +9,23 @@ import pytest
 
 from carecontact.protocols import FAST_DT_S, load_protocol
 from carecontact.world.human.anthropometry import SegmentInertia, segment_inertias
+from carecontact.world.human.library import load_body
 from carecontact.world.human.plates import (
     BELLY_FLOOR,
     FLOOR_GIVE,
     GIVES,
+    PLATES,
     plate_body,
-    plates,
     plates_of,
     without_plates,
 )
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import BUILDS, Build
-from carecontact.world.scene import Scene, build_scene
-
-NEWEST = BUILDS["person-v2"]
+from carecontact.world.scene import build_scene
 
 
 @pytest.fixture(scope="module")
-def newest() -> Scene:
-    return build_scene(load_protocol("bathing-v3-draft"), target="abdomen", skin=False)
+def model() -> mujoco.MjModel:
+    return build_scene(load_protocol(), target="abdomen", skin=False).model
 
 
 @pytest.mark.parametrize("part", [*sorted(GIVES), BELLY_FLOOR])
@@ -50,7 +46,7 @@ def test_the_chest_is_the_published_curve() -> None:
 def test_what_is_left_of_a_bone_makes_up_the_segment_with_its_plates() -> None:
     row = SegmentInertia(mass_kg=9.0, centre_m=np.array([0.1, 0.0, 0.3]), axes=np.eye(3),
                          moments_kgm2=np.array([0.2, 0.25, 0.1]))  # fmt: skip
-    places = [(plate, np.array([0.1 * k, -0.05, 0.2])) for k, plate in enumerate(plates_of("thorax", Build()))]
+    places = [(plate, np.array([0.1 * k, -0.05, 0.2])) for k, plate in enumerate(plates_of("thorax"))]
     mass, centre, tensor = without_plates(row, places)
     bodies = [(mass, centre, tensor), *((p.give.mass_kg, at, p.give.mass_kg * 0.05**2 * np.eye(3)) for p, at in places)]
     whole = sum(m for m, _, _ in bodies)
@@ -62,11 +58,10 @@ def test_what_is_left_of_a_bone_makes_up_the_segment_with_its_plates() -> None:
     np.testing.assert_allclose(total, np.diag(row.moments_kgm2), atol=1e-12)
 
 
-def hang(model: mujoco.MjModel, build: Build) -> None:
-    """Assert that every plate of a version hangs on its segment and gives way inward, by the spring it declares."""
+def test_plates_hang_on_their_segment_and_give_way_inward_by_the_declared_spring(model: mujoco.MjModel) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    for plate in plates(build):
+    for plate in PLATES:
         body = model.body(plate_body(plate.name))
         assert model.body(body.parentid[0]).name == body_name(plate.segment)
         assert body.geomnum[0] >= 1
@@ -79,44 +74,28 @@ def hang(model: mujoco.MjModel, build: Build) -> None:
         assert 9.81 * plate.give.mass_kg / plate.give.a_n_m < 1e-3
 
 
-def test_plates_hang_on_their_segment_and_give_way_inward(scene_of: Callable[..., Scene]) -> None:
-    hang(scene_of("forearm").model, Build())
-    assert {plate.name for plate in plates(Build()) if len(plate.outward) == 2} == {
-        f"right_{part}" for part in GIVES
+def test_they_give_way_sideways_where_a_tool_comes_from_the_side(model: mujoco.MjModel) -> None:
+    assert {plate.name for plate in PLATES if len(plate.outward) == 2} == {
+        "left_flank", "left_thigh", *(f"right_{part}" for part in GIVES)
     }  # fmt: skip
-
-
-def test_the_newest_person_gives_way_on_the_inner_sides_too(newest: Scene) -> None:
-    hang(newest.model, NEWEST)
-    added = {p.name for p in plates(NEWEST) if len(p.outward) == 2 and p.name.startswith("left")}
-    assert added == {"left_flank", "left_thigh"}
-    data = mujoco.MjData(newest.model)
-    thigh = newest.model.body(plate_body("left_thigh"))
-    data.qvel[newest.model.jnt_dofadr[thigh.jntadr[0] + 1]] = 1.0
-    mujoco.mj_forward(newest.model, data)
+    data = mujoco.MjData(model)
+    thigh = model.body(plate_body("left_thigh"))
+    data.qvel[model.jnt_dofadr[thigh.jntadr[0] + 1]] = 1.0
+    mujoco.mj_forward(model, data)
     moves = np.zeros(6)
-    mujoco.mj_objectVelocity(newest.model, data, mujoco.mjtObj.mjOBJ_BODY, thigh.id, moves, 0)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, thigh.id, moves, 0)
     # The person's left is the world's -y: the joint's positive way is that in which the robot pushes.
     assert moves[4] == pytest.approx(-1.0, abs=0.1)
 
 
-def test_the_bone_under_the_belly_rests_on_a_plate_of_the_newest_person(newest: Scene) -> None:
-    model = newest.model
+def test_the_bone_under_the_belly_rests_on_a_plate(model: mujoco.MjModel) -> None:
     cores = {g for g in range(model.ngeom) if model.geom(g).name.startswith("human_core_abdomen")}
     floor = model.body(plate_body(BELLY_FLOOR)).id
     assert len(cores) > 5
     assert {int(model.geom_bodyid[g]) for g in cores} == {floor}
-    still = build_scene(load_protocol(), target="abdomen", skin=False).model
-    both = mujoco.MjData(model), mujoco.MjData(still)
-    for one, data in zip((model, still), both, strict=True):
-        mujoco.mj_kinematics(one, data)
-    for g in cores:
-        name = model.geom(g).name
-        np.testing.assert_allclose(both[0].geom_xpos[g], both[1].geom_xpos[still.geom(name).id], atol=1e-9)
 
 
-def test_segments_of_the_newest_person_weigh_what_they_did(newest: Scene) -> None:
-    model = newest.model
-    for segment, row in segment_inertias(newest.body).items():
-        parts = [body_name(segment), *(plate_body(p.name) for p in plates_of(segment, NEWEST))]
+def test_segments_with_their_plates_weigh_what_is_declared(model: mujoco.MjModel) -> None:
+    for segment, row in segment_inertias(load_body(load_protocol().person.body)).items():
+        parts = [body_name(segment), *(plate_body(p.name) for p in plates_of(segment))]
         assert sum(float(model.body(name).mass[0]) for name in parts) == pytest.approx(row.mass_kg, rel=1e-9)

@@ -16,12 +16,11 @@ from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 from carecontact.world.human.build import tissue_of
-from carecontact.world.human.plates import plate_body, plates
+from carecontact.world.human.plates import PLATES, plate_body
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import BUILDS, Build
 from carecontact.world.scene import Scene, build_scene
-from carecontact.world.sensors import CONTACT_SLOTS, PLATE_SLOTS, plate_sensor
+from carecontact.world.sensors import CONTACT_SLOTS, plate_sensor
 
 PROTOCOL = load_protocol()
 # Every body is built and settled in test_every_body.
@@ -125,33 +124,23 @@ def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
 
 
 def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
-    all_sensed(model, Build(), PLATE_SLOTS)
-
-
-def test_every_contact_with_the_newest_person_would_be_sensed() -> None:
-    model = build_scene(load_protocol("bathing-v3-draft"), target="abdomen", skin=False).model
-    all_sensed(model, BUILDS["person-v2"], CONTACT_SLOTS)
-
-
-def all_sensed(model: mujoco.MjModel, build: Build, plate_slots: int) -> None:
     """One net force and one normal sum for each segment of the recording; what a shell feels the plugin says."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
-    surfaces = {s: (body_name(s), CONTACT_SLOTS) for s in SEGMENTS}
-    surfaces |= {plate_sensor(p.name): (plate_body(p.name), plate_slots) for p in plates(build)}
+    surfaces = {s: body_name(s) for s in SEGMENTS}
+    surfaces |= {plate_sensor(p.name): plate_body(p.name) for p in PLATES}
     expected = {f"{kind}_{name}" for kind in ("net", "normal") for name in surfaces}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
     assert of_contact == expected
     for name in expected:
         kind, _, place = name.partition("_")
         i = sensors[name]
-        body, kept = surfaces[place]
-        assert model.body(model.sensor_refid[i]).name == body
+        assert model.body(model.sensor_refid[i]).name == surfaces[place]
         assert model.body(model.sensor_objid[i]).name == "robot_base"
-        slots = 1 if kind == "net" else kept
+        slots = 1 if kind == "net" else CONTACT_SLOTS
         assert model.sensor_dim[i] == slots * (6 if kind == "net" else 4)
     touchable = {int(model.geom_bodyid[g]) for g in range(model.ngeom) if model.geom_conaffinity[g] == ROBOT_BIT}
     whose = {model.body(b).name for b in touchable}
-    assert whose <= {body for body, _ in surfaces.values()}
+    assert whose <= set(surfaces.values())
     for region in STANDARD_REGIONS:
         assert owner_segment(model, Readings(model, region).bone) == REGIONS[region].segment
 

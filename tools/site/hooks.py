@@ -29,9 +29,9 @@ WORKER = "frame_worker.js"
 BOOST = {
     "glossary.md": 4.0, "scoring.md": 3.0, "tasks.md": 2.0,
     "reference/commands.md": 0.5, "reference/python.md": 0.5,
-    "results/earlier.md": 0.1, "results/bathing-v1.md": 0.1, "results/bathing-moved-v1.md": 0.1,
+    "results/release-0.1.0.md": 0.3,
 }  # fmt: skip
-"""Page -> how much its hits in the search count; 1 for the others. The last two are results of retired protocols."""
+"""Page -> how much its hits in the search count; 1 for the others."""
 SHARE = re.compile(r"(?<=<td>)(\d+) (\([\d.]+) (%\))(?=</td>)")
 """A number of trials with its percentage, alone in a cell."""
 PAGE_NAME = re.compile(r"\bdocs/([a-z0-9-]+)\.md\b")

@@ -53,7 +53,7 @@ class Separation:
 
 
 def times_of(recording: Recording) -> Times:
-    """Return the times that a recording holds; none for a recording of an earlier release."""
+    """Return the times that a recording holds; none for a trial without a policy's process."""
     between = recording.arrays.get(BETWEEN, np.zeros(0))
     shown, steps = recording["policy/observation_time_s"], recording["scorer/time_s"]
     count = min(len(between), max(len(shown) - 1, 0))

@@ -1,8 +1,6 @@
 """The actions that a task can name, as the table BEHAVIOURS: each file has one action with its gate, the rule by which
 a trial meets the gate, the sweeps of its values, and the words for a failure."""
 
-# Under gates-v2, a second file has the action's gate and rule; the first file names it in ``versions``.
-
 # A new action imports everything that it needs from here (docs/extending.md).
 
 from carecontact.contract.protocol import BEHAVIOURS, Fraction, Positive, Section

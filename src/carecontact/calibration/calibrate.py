@@ -23,7 +23,6 @@ from carecontact.errors import ConfigError
 from carecontact.world.human.body import Body
 from carecontact.world.human.build import tissue_of
 from carecontact.world.human.library import load_body
-from carecontact.world.human.versions import BUILDS
 
 CERTIFICATE, ROW, FIGURE = "certificate.json", "tissue.toml", "calibration.png"
 
@@ -46,8 +45,7 @@ def calibrate(
         regions: names of soft regions of the protocol. With several, names of certificates and figures have the region.
         setup: what the files do not state of the presses.
         body: name of the body whose surface is pressed.
-        rules: the protocol whose mesh, mass and thickness the tissue keeps, and with whose version of the person the
-            presses are replayed.
+        rules: the protocol whose mesh, mass and thickness the tissue keeps.
 
     Raises ConfigError for every fault that the user can fix, before the first fit for those that the data show.
     """
@@ -85,7 +83,7 @@ def _prepared(
     row = tissue_of(person, region, rules.person.tissue[region])
     _check_depths(curves, region, row)
     groups = group_curves(curves)
-    replay = Replay(body=person, region=region, tissue=row, groups=groups, build=BUILDS[rules.person.version])
+    replay = Replay(body=person, region=region, tissue=row, groups=groups)
     ratio = published_ratio(replay, curves)
     check_replayable(ratio, region)
     return file, curves, replay, ratio

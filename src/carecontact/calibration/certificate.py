@@ -14,9 +14,7 @@ from carecontact.calibration.trial import Setup
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError
 
-VERSION = "carecontact-calibration-3"
-PERSON, PERSON_V1 = "person", "person-v1"
-"""Name of the person's version among ``Content.versions``, and the version of certificates that do not have it."""
+VERSION = "carecontact-calibration-4"
 BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
 """``--verify`` fails where a replayed force differs by more than this share of its peak, or an error by this much."""
 
@@ -169,8 +167,9 @@ def tissue_set_toml(contents: Sequence[Content], *, digests: Sequence[str]) -> s
         f"base = {json.dumps(contents[0].base_tissue_set)}",
     ]
     for one in contents:
-        row = one.tissue.model_dump(mode="json")
-        calibration = row.pop("calibration")
+        row = one.tissue.model_dump(mode="json", exclude_none=True)
+        row.pop("calibration", None)
+        calibration = {} if one.tissue.calibration is None else one.tissue.calibration.model_dump(mode="json")
         lines += ["", f"[tissue.{one.region}]", *map(_toml, row.items())]
         lines += ["", f"[tissue.{one.region}.calibration]"]
         lines += [_toml(item) if item[1] is not None else f"# {item[0]} is not known" for item in calibration.items()]

@@ -9,7 +9,7 @@ import numpy as np
 
 from carecontact import __version__
 from carecontact.calibration.agreement import POOLED, Agreement, pooled
-from carecontact.calibration.certificate import BAND, PERSON, PERSON_V1, Content, Model, Speed, Value
+from carecontact.calibration.certificate import BAND, Content, Model, Speed, Value
 from carecontact.calibration.checks import TrialFile
 from carecontact.calibration.curve import Curve
 from carecontact.calibration.facts import measured_facts, model_hashes, responses, simulated_stiffness
@@ -80,7 +80,7 @@ def make_content(
         versions={
             "carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id,
             "kernel": kernel_sha256(),
-        } | ({PERSON: rules.person.version} if rules.person.version != PERSON_V1 else {}),
+        },
         notes=[
             *file.notes,
             *_notes_on_the_fit(fit, trials=len(curves)),

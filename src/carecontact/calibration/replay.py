@@ -13,7 +13,6 @@ from carecontact.calibration.trial import Array, Condition
 from carecontact.contract.protocol import Tissue
 from carecontact.sim.bench import APPROACH_M, Bench, Indenter, Press, touch_depth
 from carecontact.world.human.body import Body
-from carecontact.world.human.versions import BUILDS, Build
 from carecontact.world.scene import region_shell
 
 DEPTH_CLASS = 0.06
@@ -85,15 +84,9 @@ def group_curves(curves: Sequence[Curve]) -> tuple[Group, ...]:
 
 
 class Replay:
-    """Replays all groups on benches that are compiled once, one for each indenter.
+    """Replays all groups on benches that are compiled once, one for each indenter."""
 
-    Args:
-        build: how an indenter touches the region.
-    """
-
-    def __init__(
-        self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group], build: Build = BUILDS["person-v1"]
-    ) -> None:
+    def __init__(self, *, body: Body, region: str, tissue: Tissue, groups: Sequence[Group]) -> None:
         self.groups, self.tissue, self.body, self.region = tuple(groups), tissue, body, region
         shell = region_shell(body, region, tissue)
         self.benches: dict[tuple[str, float | None], Bench] = {}
@@ -107,7 +100,6 @@ class Replay:
                     shell=shell,
                     indenter=Indenter(shape=key[0], size_m=key[1]),  # type: ignore[arg-type]
                     dt_s=TIME_STEP_S,
-                    build=build,
                 )
         self._zero = [0.0] * len(self.groups)
 

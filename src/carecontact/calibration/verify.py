@@ -10,18 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.calibration.agreement import POOLED, pooled
-from carecontact.calibration.certificate import BAND, PERSON, PERSON_V1, Certificate, Content, Response, Value
+from carecontact.calibration.certificate import BAND, Certificate, Content, Response, Value
 from carecontact.calibration.checks import read_trials
 from carecontact.calibration.curve import Curve, make_curve
 from carecontact.calibration.facts import measured_facts, model_hashes, published_ratio, responses, simulated_stiffness
 from carecontact.calibration.problem import agreements
 from carecontact.calibration.replay import Group, Replay, group_curves
 from carecontact.calibration.verdict import LIMITS, reasons
-from carecontact.contract.protocol.person import PersonVersion
 from carecontact.errors import ConfigError
 from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.world.human.library import load_body
-from carecontact.world.human.versions import BUILDS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +57,7 @@ def verify(trials: Sequence[Path], certificate: Certificate) -> list[Check]:
             "trials: it was made by another carecontact version"
         )
     _check_facts(content, measured_facts(file, curves))
-    replay = Replay(
-        body=load_body(content.body), region=content.region, tissue=content.tissue, groups=groups,
-        build=BUILDS[_person(content)],
-    )  # fmt: skip
+    replay = Replay(body=load_body(content.body), region=content.region, tissue=content.tissue, groups=groups)
     hashes = model_hashes(replay, content.body, content.tissue)
     if hashes["body"] != content.hashes["body"]:
         raise ConfigError(
@@ -70,15 +65,6 @@ def verify(trials: Sequence[Path], certificate: Certificate) -> list[Check]:
             f"{hashes['body'][:12]}...; verify with the body file that the certificate was made with"
         )
     return [*_check_replay(content, curves, groups, replay), *_show_versions(content, hashes)]
-
-
-def _person(content: Content) -> PersonVersion:
-    """Return the version of the person that was calibrated. Certificates of person-v1 do not name it."""
-    named = content.versions.get(PERSON, PERSON_V1)
-    for known in BUILDS:
-        if named == known:
-            return known
-    raise ConfigError(f"the certificate is of {named}, and this carecontact has {', '.join(BUILDS)}")
 
 
 def _check_replay(

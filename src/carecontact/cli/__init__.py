@@ -11,7 +11,6 @@ from types import FrameType
 from carecontact import __version__
 from carecontact.cli.streams import drop_if_gone, drop_output, prepare_streams
 from carecontact.errors import CarecontactError, ConfigError
-from carecontact.own_process import adopt_orphans, hide_memory, hide_options
 
 REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write", "--tissue", "--region")
 """Options that a command line may hold several times."""
@@ -26,9 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments = sys.argv[1:]
         # The program that started this command may ignore SIGCHLD. The kernel would then report no exit status.
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-        adopt_orphans()
     arguments = list(arguments)
-    hide_options(arguments)
     prepare_streams()
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
@@ -78,7 +75,6 @@ class _Command:
         from carecontact.cli.commands import parse
         from carecontact.cli.spelling import with_synonyms
 
-        hide_memory()
         _stop_as_interrupted()
         _readable(arguments)
         arguments = with_synonyms(arguments)

@@ -31,10 +31,10 @@ class JsonGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class ProtocolGroup:
-    protocol: str = "bathing-v2"
+    protocol: str = "bathing-v3-draft"
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
     level: str | None = None
-    """Level of the protocol, where it has any: bathing-wide-v1 has L0, L1, L2 and L3."""
+    """Level of the protocol, where it has any: bathing-wide-v2-draft has L0, L1, L2 and L3."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,8 +82,8 @@ def _actions(protocol: str) -> list[tuple[str, str]]:
     from carecontact.contract.protocol import BEHAVIOURS
     from carecontact.protocols import load_protocol
 
-    version = load_protocol(protocol).gates.version
-    return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.under(version).gate.model_fields) or 'no fields'}")
+    gates = load_protocol(protocol).gates.set
+    return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.under(gates).gate.model_fields) or 'no fields'}")
 
 
 def _regions(protocol: str) -> list[tuple[str, str]]:

@@ -25,7 +25,7 @@ class Protocols:
     what: Annotated[Literal["list", "show", "verify", "lock", "feasible"], tyro.conf.Positional]
     """What to do: list all protocols, show one, verify it against its lock, write its lock, or check that the robot can
     serve every seed of it."""
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-v2"
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-v3-draft"
     """Id of a shipped protocol, or a .toml file; `list` needs none."""
 
     level: str | None = None

@@ -21,16 +21,17 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
 
     Raises ConfigError for a baseline that cannot be read or compared; then nothing is written or remembered.
     """
-    from carecontact.recording import read_recording
+    from carecontact.recording import open_recording
     from carecontact.reports.compare.kept import beside_kept
     from carecontact.reports.page.page import write_report
 
     named, lost, told = (_named(folder, run, baselines), {}, []) if baselines else _remembered(folder, run)
     beside, why_none = beside_kept(run, named)
+    scored = {score.trial_id: score.recording_sha256 for score in run.scores}
     path = write_report(
         folder,
         scores=run.scores,
-        recordings=lambda trial_id: read_recording(folder / f"{trial_id}.h5"),
+        recordings=lambda trial_id: open_recording(folder / f"{trial_id}.h5", sha256=scored[trial_id]),
         skipped=run.skipped,
         missing=run.missing,
         elsewhere=run.elsewhere,
@@ -56,7 +57,7 @@ def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str
     """Return the baselines of the last report, each baseline that can no longer be shown -> the reason, and lines about
     both."""
     from carecontact.reports.compare.baselines import check_baselines
-    from carecontact.runs.baselines import BASELINES, named_in, remembered
+    from carecontact.runs.baselines import BASELINES, remembered
     from carecontact.runs.stored_scores import read_scores
 
     found: list[RunScores] = []
@@ -77,5 +78,5 @@ def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str
     if found:
         names = ", ".join(baseline.scores[0].policy_title for baseline in found)
         kept = f"the report keeps the blind baselines of the last report: {names}"
-        told.append(f"{kept}; to remove them, delete {named_in(folder)}")
+        told.append(f"{kept}; to remove them, delete {folder / BASELINES}")
     return found, lost, told

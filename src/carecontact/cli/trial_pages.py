@@ -18,15 +18,15 @@ def write_page_of(file: Path) -> Path:
 
     Raises RecordingError, naming the file, for one that cannot be read, scored or drawn.
     """
-    from carecontact.recording.reader import read_verified
+    from carecontact.recording import read_recording
     from carecontact.reports.trial.page import write_trial_page
     from carecontact.runs.run_scores import RunScores
     from carecontact.scoring import score_recording
 
-    verified = read_verified(file)
-    score = score_recording(verified.recording, sha256=verified.sha256)
+    recording = read_recording(file)
+    score = score_recording(recording)
     beside = policies_beside(file.parent, RunScores(scores=[score]))
-    return write_trial_page(file.parent, verified.recording, score, beside=beside)
+    return write_trial_page(file.parent, recording, score, beside=beside)
 
 
 def write_trial_pages(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
@@ -35,14 +35,15 @@ def write_trial_pages(folder: Path, run: RunScores, *, baselines: Sequence[Path]
     Args:
         baselines: runs of blind baselines to show beside the trials; without any, those of the last report.
     """
-    from carecontact.recording import read_recording
+    from carecontact.recording import open_recording
     from carecontact.reports.page_links import FOLDER
     from carecontact.reports.trial.page import write_trial_page
 
     beside, done = policies_beside(folder, run, baselines), 0
     for score in run.scores:
         try:
-            write_trial_page(folder, read_recording(folder / f"{score.trial_id}.h5"), score, beside=beside)
+            recording = open_recording(folder / f"{score.trial_id}.h5", sha256=score.recording_sha256)
+            write_trial_page(folder, recording, score, beside=beside)
             done += 1
         except RecordingError as error:
             print(f"no page of {score.trial_id}: {error}")

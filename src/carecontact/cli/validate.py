@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from carecontact.validation.result import CheckResult, Measure
     from carecontact.validation.run import Validation
 
-NEWEST = "bathing-v3-draft"
-"""Protocol that is checked unless another is named: the one with the newest version of the person."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Validate:
@@ -34,7 +31,7 @@ class Validate:
     """Run the short form of every check. The full form takes many minutes per body."""
     checks: str = "all"
     """Names of checks separated by commas, such as force-balance,energy, or all."""
-    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=lambda: ChangedProtocolGroup(protocol=NEWEST))
+    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
     fem: Switch = False
     """Run no check. Press the tissue beside finite elements of layers with skin, and print both; needs scikit-fem."""
     out: Path = Path("runs/validation")
@@ -106,7 +103,7 @@ class Validate:
         from carecontact.validation.run import CHECKS, validate, write
 
         console = Console(highlight=False, width=None if Console().is_terminal else 140)
-        title = f"{rules.title} ({rules.person.version}), tissue {rules.person.tissue_set}"
+        title = f"{rules.title}, tissue {rules.person.tissue_set}"
         console.print(f"{body}, {title}{', quick' if self.quick else ''}", style="bold")
 
         def keep(so_far: Validation) -> None:
@@ -119,9 +116,7 @@ class Validate:
             rows = [(r, m) for r in validation.results for m in r.measures] if self.verbose else missed
             console.print(_table(rows))
         failed = [result for result in validation.results if not result.passed]
-        known = bool(failed) and all(result.fails_as_known for result in failed)
-        why = ", by nothing but what docs/validation.md names" if known else ""
-        print(f"{_verdict(len(failed), ran=len(names), of=len(CHECKS))}{why}; {folder / 'validation.json'}")
+        print(f"{_verdict(len(failed), ran=len(names), of=len(CHECKS))}; {folder / 'validation.json'}")
         return validation
 
 
@@ -137,8 +132,6 @@ def _line(result: CheckResult) -> str:
     told = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
     if not result.error and (shown := [m for m in result.measures if m.limit is not None and not m.decides]):
         told += f"; {sum(not m.met for m in shown)} of {len(shown)} that do not decide missed"
-    if result.fails_as_known:
-        told += "; nothing unknown missed"
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 
@@ -151,8 +144,6 @@ def _table(rows: list[tuple[CheckResult, Measure]]) -> Table:
     for result, measure in rows:
         limit = "" if measure.limit is None else f"{measure.side} {measure.limit:g} {measure.unit}"
         verdict = {None: "", True: "[green]met[/green]", False: "[red]missed[/red]"}[measure.met]
-        if measure.met is False and measure.known:
-            verdict += " (known)"
         if measure.met is not None and not measure.decides:
             verdict = f"{'met' if measure.met else 'not met'} (does not decide)"
         table.add_row(result.check, measure.name, f"{measure.value:.3g} {measure.unit}", limit, verdict)

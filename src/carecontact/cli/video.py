@@ -106,17 +106,17 @@ class Video:
     def _make(self, trial: Path, target: Path, *, place: str) -> None:
         from carecontact.cli.frame_progress import counted
         from carecontact.cli.target import make_place
-        from carecontact.recording import read_verified
+        from carecontact.recording import read_recording
         from carecontact.replaying.film.frames import Film
         from carecontact.replaying.film.video import comment_of, write_gif, write_mp4
         from carecontact.trials.workers import available_cores
 
-        verified = read_verified(trial)
-        comment = self._comment(verified.sha256)
+        recording = read_recording(trial)
+        comment = self._comment(recording.stored_sha256)
         if not self.again and target.suffix == ".mp4" and comment_of(target) == comment:
             print(f"{place}{target}: is there already", flush=True)
             return
-        film = Film(verified.recording, view=self.view, fps=self._fps, grid=not self.no_grid, shadows=not self.draft)
+        film = Film(recording, view=self.view, fps=self._fps, grid=not self.no_grid, shadows=not self.draft)
         make_place(target)
         jobs = self.jobs or max(1, min(available_cores(), MOST_JOBS, film.count // FRAMES_EACH))
         with closing(film.frames(jobs=jobs)) as pictures:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, Self
+from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, Field
 
 from carecontact.contract.protocol import Protocol
-
-LATER = ("policy_arguments", "policy_environment", "noise_salt", "salt", "salt_sha256")
-"""Fields that trials did not always have."""
 
 
 def commitment(salt: str) -> str:
@@ -41,11 +38,6 @@ class TrialSpec(BaseModel):
     never holds it, only its hash (``sealed``); empty for a run on published seeds."""
     salt_sha256: str = ""
     """Hash of the salt of a recorded trial, in base 16."""
-
-    @model_serializer(mode="wrap")
-    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out LATER fields that are empty: such a trial keeps the JSON, and so the hash, that it had before."""
-        return {name: value for name, value in serialize(self).items() if name not in LATER or value}
 
     @property
     def commitment(self) -> str:

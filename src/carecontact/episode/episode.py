@@ -241,14 +241,9 @@ class Episode:
         """
         if self._perception is None or self._ended is not None or self._closed:
             raise ConfigError("Episode.step: call it after reset(), before the episode has ended, and inside its with")
-        if not isinstance(cast(object, action), Action):
-            raise ActionError(f"expected one Action, got {type(action).__name__}; pass those of a list one by one")
         assert self.card is not None
         assert self._driver is not None
-        clips, session = self.card.out_of_bounds == "clip", self.session
-        inside = self.space.clip(action, session) if clips else action
-        checked = self.space.check(inside, session)
-        self._driver.check(checked)
+        checked, clipped = self.check(action)
         self.answered()
         if self._unanswered:
             self._unanswered = False
@@ -256,13 +251,28 @@ class Episode:
                 return ended
         period_s = 1.0 / self.card.control_hz
         entries = self._driver.apply(checked, period_s)
-        clipped = {"actions/clipped": np.array(inside is not action)} if clips else {}
-        self.log.add_action(self.simulation.time_s, {**entries, **clipped})
+        clips = {"actions/clipped": np.array(clipped)} if self.card.out_of_bounds == "clip" else {}
+        self.log.add_action(self.simulation.time_s, {**entries, **clips})
         self._run(next(self._periods))
         if self._ended is None and action.done:
             self._ended = Ended(reason="done")
         self._end_in_time()
         return self._outcome(observe=observe)
+
+    def check(self, action: Action) -> tuple[Action, bool]:
+        """Return an action as ``step`` executes it, in normal form, and whether it was moved into the bounds, as the
+        card may request. Nothing else checks an action.
+
+        Raises ActionError naming the field, what was expected and what was got.
+        """
+        if not isinstance(cast(object, action), Action):
+            raise ActionError(f"expected one Action, got {type(action).__name__}; pass those of a list one by one")
+        if self.card is None or self._driver is None:
+            raise ConfigError("Episode.check: call it after reset()")
+        inside = self.space.clip(action, self.session) if self.card.out_of_bounds == "clip" else action
+        checked = self.space.check(inside, self.session)
+        self._driver.check(checked)
+        return checked, inside is not action
 
     def _wait(self) -> Step | None:
         """Simulate the protocol's latency while the last target stays in force.

@@ -8,7 +8,7 @@ from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.drawn import drawn_facts
 from carecontact.episode.ended import Ended
-from carecontact.kernel.found import identity as kernel_identity
+from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.recording.schema import SEGMENTS, Header
 from carecontact.recording.versions import DECLARED, trial_versions
 from carecontact.sim.simulation import Settled, Simulation
@@ -51,10 +51,9 @@ def header_of(
         versions=trial_versions(spec.protocol),
         sha256={
             "model": model_sha256,
-            "protocol": spec.protocol.sha256,
             "body": simulation.scene.body.sha256,
             "robot": panda_sha256(),
-            "kernel": kernel_identity(spec.protocol.person.version),
+            "kernel": kernel_sha256(),
         },
         solver_warnings=warnings,
         drawn=drawn_facts(simulation.scene.protocol, simulation.scene.place)

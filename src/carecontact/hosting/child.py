@@ -40,9 +40,9 @@ class Options(TypedDict):
     policy is imported, so that the policy cannot change it; then ``{"port": n}`` or
     ``{"error": text, "kind": kind}``."""
     lifeline_fd: int
-    """Socket that only the keeper has. It reaches its end when the harness closes the other one or ends."""
-    lock_fd: int
-    """Descriptor of the lock on the policy's temporary folder, for the keeper."""
+    """Socket of the process that watches this one. It reaches its end when the harness closes the other one or ends."""
+    lock_fd: int | None
+    """Descriptor of the lock on the policy's temporary folder, for the same process; None if that is in memory."""
     harness_port: int
     """Port of the loopback interface from which the harness connects; connections from any other port are refused."""
     readable: list[str]
@@ -51,6 +51,8 @@ class Options(TypedDict):
     closed: list[str]
     """Folders that must stay closed to it."""
     isolated: bool
+    namespaces: bool
+    """Whether namespaces are part of the isolation."""
     isolation: NotRequired[str]
     """How far this process isolated itself, as recordings hold it."""
     stack_fd: int

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
+from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
-from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.errors import ContractError, PolicyError
 from carecontact.hosting.wire.connection import Connection
 
 
 @dataclass(frozen=True, kw_only=True)
 class ActReply:
     actions: list[Action]
-    """1 to MAX_CHUNK actions in the order of the answer. Each has passed the check of the card's action space, after
-    clipping if the card requests it."""
+    """1 to MAX_CHUNK actions in the order of the answer, with fields of the right types; ``Episode.step`` checks their
+    values."""
     sent: bytes
     """The message that carried the observation: everything that the policy was shown at this step."""
     sent_sha256: bytes
@@ -33,10 +32,7 @@ class ActReply:
 class Client(ABC):
     """One trial's conversation with a policy. Every failure is a PolicyError, and its kind says what the policy did."""
 
-    _session: Session | None = None
-    _space: ActionSpace = ACTION_SPACES["cartesian_pose"]
-    _clips = False
-    """Whether the card requests that targets outside the workspace are clipped."""
+    _begun = False
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
@@ -47,7 +43,7 @@ class Client(ABC):
 
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         """Begin the trial."""
-        self._session = session
+        self._begun = True
         self._begin(instruction, session, deadline_s=deadline_s)
 
     def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
@@ -55,7 +51,7 @@ class Client(ABC):
 
         Raises ObservationError if the observation breaks the contract, which is the harness's fault.
         """
-        if self._session is None:
+        if not self._begun:
             raise ContractError(f"{type(self).__name__}.act: expected reset before it, got none")
         return self._act(observation, deadline_s=deadline_s)
 
@@ -75,24 +71,6 @@ class Client(ABC):
 
     @abstractmethod
     def _end(self, *, deadline_s: float) -> None: ...
-
-    def _shows(self, card: PolicyCard) -> PolicyCard:
-        """Keep what the card says about actions, and return the card."""
-        self._clips, self._space = card.out_of_bounds == "clip", ACTION_SPACES[card.action_space]
-        return card
-
-    def _checked(self, actions: Sequence[Action]) -> list[Action]:
-        """Clip the actions if the card requests it, and check them. Raises ActionError naming the first that breaks the
-        contract.
-        """
-        session, space = self._session, self._space
-        assert session is not None
-        for i, action in enumerate(actions):
-            try:
-                space.check(space.clip(action, session) if self._clips else action, session)
-            except ActionError as error:
-                raise ActionError(f"actions[{i}].{error}") from None
-        return list(actions)
 
 
 def sha256(message: bytes) -> bytes:

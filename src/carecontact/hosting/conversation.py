@@ -3,18 +3,18 @@ when one fails."""
 
 from __future__ import annotations
 
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import NoReturn, Self, TypeVar
 
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
-from carecontact.errors import ExhaustedError, PolicyError
-from carecontact.hosting.alarms import DEADLINES, REPORTS
+from carecontact.errors import ActionError, PolicyError
 from carecontact.hosting.client import ActReply, Client
 
 GRACE_S = 1.0
@@ -97,10 +97,8 @@ class PolicyConversation(ABC):
         Raises UnreachableError if no server accepts a connection; so do ``reset`` and the first ``act`` of a
         conversation that is ``patient``. Raises ExhaustedError if this process gets no further process or thread.
         """
-        with self._evidence("start"):
-            _start_alarms()
-            with self._within(self._first_deadline_s) as left:
-                return self._carried_out(self._connect, left)
+        with self._evidence("start"), self._within(self._first_deadline_s) as left:
+            return self._carried_out(self._connect, left)
 
     def reset(self, instruction: str, session: Session) -> None:
         def step(left: Left) -> None:
@@ -110,7 +108,7 @@ class PolicyConversation(ABC):
             self._carried_out(step, left)
 
     def act(self, observation: Observation) -> ActReply:
-        """Send one observation and return one checked chunk. ObservationError and ContractError are mistakes of the
+        """Send one observation and return one chunk. ObservationError and ContractError are mistakes of the
         harness.
         """
 
@@ -121,6 +119,11 @@ class PolicyConversation(ABC):
             reply = self._carried_out(step, left)
         self._acted = True
         return reply
+
+    def refuse(self, number: int, error: ActionError) -> NoReturn:
+        """End the conversation because the trial does not accept action ``number`` of the last chunk."""
+        with self._evidence("act"):
+            raise PolicyError("action", f"actions[{number}].{error}")
 
     def close(self) -> None:
         """End the conversation, gracefully if the policy still answers. Further calls do nothing."""
@@ -198,19 +201,21 @@ class PolicyConversation(ABC):
 
     @contextmanager
     def _reported_wait(self, allowed_s: float) -> Generator[None, None, None]:
-        report, started = self.on_wait, time.monotonic()
+        report, started, over = self.on_wait, time.monotonic(), threading.Event()
         if report is None:
             yield
             return
 
         def repeat() -> None:
-            report(f"waiting for the policy: {time.monotonic() - started:.0f} of {allowed_s:.0f} s")
+            while not over.wait(WAIT_REPORT_S):
+                report(f"waiting for the policy: {time.monotonic() - started:.0f} of {allowed_s:.0f} s")
 
-        alarm = REPORTS.set(WAIT_REPORT_S, repeat, every_s=WAIT_REPORT_S)
+        # Nobody waits for its end: to report something may block, on a terminal for example.
+        threading.Thread(target=repeat, daemon=True).start()
         try:
             yield
         finally:
-            alarm.cancel()
+            over.set()
 
     @contextmanager
     def _evidence(self, doing: str) -> Generator[None, None, None]:
@@ -232,12 +237,3 @@ class PolicyConversation(ABC):
         except BaseException:
             self._drop()
             raise
-
-
-def _start_alarms() -> None:
-    """Start the threads of all deadlines and reports while there are threads to be had: a policy may take the rest."""
-    try:
-        for alarms in (DEADLINES, REPORTS):
-            alarms.start()
-    except RuntimeError as error:
-        raise ExhaustedError(f"no thread for the deadlines of the policy's calls: {error}") from None

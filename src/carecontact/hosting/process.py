@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -22,11 +23,12 @@ from carecontact.cache_folder import cache_folder
 from carecontact.errors import ExhaustedError, PolicyError, StorageError, UnreachableError
 from carecontact.exhausted import is_exhausted
 from carecontact.hosting.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation
-from carecontact.hosting.descendants import MARK, kill_adopted, kill_marked, new_mark
 from carecontact.hosting.isolation.blocked import remedy
+from carecontact.hosting.isolation.namespaces import SANDBOX, granted
 from carecontact.hosting.isolation.private_folder import REMOVAL_S, PrivateFolder, private_folder
-from carecontact.hosting.keeper import KEEPER_S, NO_PROCESS
+from carecontact.hosting.isolation.process_tree import kill_claimed
 from carecontact.hosting.readable import readable
+from carecontact.hosting.sandbox import ENDING_S, NO_PROCESS
 from carecontact.hosting.setup import PolicySetup
 from carecontact.hosting.stack import ASK, PATIENCE_S, read_stack
 from carecontact.hosting.wire.client import PolicyClient
@@ -61,11 +63,9 @@ import json, sys
 options = json.load(sys.stdin)
 if options["root"] not in sys.path:
     sys.path.insert(0, options["root"])
-# Both before importing numpy, which starts threads: neither a fork nor isolation reaches threads that already run.
-from carecontact.hosting.keeper import keep
-keep(options)
-from carecontact.hosting.isolation.fence import isolate
-isolate(options)
+# Before importing numpy, which starts threads: neither a fork nor isolation reaches threads that already run.
+from carecontact.hosting.sandbox import start
+start(options)
 from carecontact.hosting.child import main
 main(options)
 """
@@ -87,17 +87,15 @@ class PolicyProcess(PolicyConversation):
         self._target = policy_target(setup.ref)
         self._setup = setup
         self._child: subprocess.Popen[bytes] | None = None
-        """The keeper of the policy's process."""
-        self._mark = new_mark()
+        """The process that watches the policy's (``hosting.sandbox``)."""
         self._lifeline: socket.socket | None = None
-        """The keeper ends with it, and tells over it how the policy's process ended."""
+        """That process ends with it, and reports over it how the policy's process ended."""
         self._line: socket.socket | None = None
         self._folder: PrivateFolder | None = None
         self._stack: int | None = None
         self._output = b""
         self._report: io.FileIO | None = None
         self._reader: threading.Thread | None = None
-        self._watcher: threading.Thread | None = None
 
     @property
     def printed(self) -> str:
@@ -148,15 +146,9 @@ class PolicyProcess(PolicyConversation):
 
     def _launch(self, left: Left) -> int:
         """Start the child process and return the port on which it listens."""
-        try:
-            self._folder = private_folder()
-        except OSError as error:
-            if error.errno in TOO_MANY_FILES:
-                raise
-            raise StorageError(
-                f"no temporary folder can be made for the policy's process: {error}; mend that, or name another folder "
-                "in the variable TMPDIR, then give the same command again"
-            ) from None
+        namespaces = self._setup.isolated and granted()
+        if not namespaces:
+            self._folder = _new_folder()
         self._line = socket.socket()
         self._line.bind(("127.0.0.1", 0))
         with ExitStack() as theirs:
@@ -169,20 +161,24 @@ class PolicyProcess(PolicyConversation):
             theirs.callback(lifeline.close)
             options = _options(
                 self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline.fileno(), stack_fd=stack_write,
-                lock_fd=self._folder.lock, harness_port=self._line.getsockname()[1],
+                lock_fd=self._folder and self._folder.lock, harness_port=self._line.getsockname()[1],
+                namespaces=namespaces,
             )  # fmt: skip
+            given = [report_write, lifeline.fileno(), stack_write]
+            folder = {}
+            if self._folder is not None:
+                given.append(self._folder.lock)
+                folder["TMPDIR"] = str(self._folder.path)
             # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a
             # set, and so a policy's answer, may differ from run to run.
             try:
                 self._child = subprocess.Popen(
-                    [sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
-                    env=_environment(self._setup)
-                    | dict(self._setup.environment)
-                    | {MARK: self._mark, "TMPDIR": str(self._folder.path)},
+                    [*shlex.split(os.environ.get(SANDBOX, "")), sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
+                    env=_environment(self._setup) | dict(self._setup.environment) | folder,
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=subprocess.STDOUT,
-                    pass_fds=(report_write, lifeline.fileno(), stack_write, self._folder.lock),
+                    pass_fds=given,
                     start_new_session=True,
                 )
             except OSError as error:
@@ -193,7 +189,8 @@ class PolicyProcess(PolicyConversation):
                 raise PolicyError("start", f"no process could be started: {error}") from None
         try:
             self._reader = _started(self._drain, self._child)
-            self._watcher = _started(self._kill_left, self._child, self._lifeline.dup())
+            if not namespaces:
+                _started(_kill_left, self._child, self._lifeline.dup())
         except RuntimeError as error:
             raise _exhausted(error) from None
         # Not on the command line, which every user of the machine can read. The policy's own code runs after this.
@@ -207,6 +204,9 @@ class PolicyProcess(PolicyConversation):
             lines = self._report_lines(report, left)
             try:
                 self.isolation = str(json.loads(next(lines))["isolation"])
+                if sandbox := os.environ.get(SANDBOX):
+                    level, *opened = self.isolation.split("; ", 1)
+                    self.isolation = "; ".join([f"{level}, in {sandbox}", *opened])
                 told: dict[str, Any] = json.loads(next(lines))
                 if "error" not in told:
                     port = told["port"]
@@ -234,17 +234,18 @@ class PolicyProcess(PolicyConversation):
                 )
             piece = report.read(65536)
             if not piece:
-                if self.isolation is None and self._keepers_status() == NO_PROCESS:
-                    raise _exhausted("its fork failed, as it does where no process or memory is left")
+                if self.isolation is None and self._watchers_status() == NO_PROCESS:
+                    raise _exhausted(self.printed or "no process or memory is left")
                 raise PolicyError("start", self._how_it_ended("before it was ready"))
             written += piece
             if len(written) > REPORT_BYTES:
                 raise PolicyError("oversize", f"its process reported more than {REPORT_BYTES} bytes at its start")
 
-    def _keepers_status(self) -> int | None:
-        """Return the exit status of the keeper, which is about to end; None if it does not."""
+    def _watchers_status(self) -> int | None:
+        """Return the exit status of the process that watches, which is about to end; None if it does not."""
         assert self._child is not None
-        # At once, poll would not know it, because another thread waits for the same process.
+        assert self._reader is not None
+        self._reader.join(GRACE_S)  # What it printed says why.
         with suppress(subprocess.TimeoutExpired):
             return self._child.wait(GRACE_S)
         return None
@@ -265,7 +266,7 @@ class PolicyProcess(PolicyConversation):
         if self._child is None or error.kind not in ("died", "start", "handshake"):
             return error.kind
         with suppress(TimeoutError):
-            # Without its keeper, the kernel has killed it.
+            # If the process that watches it is gone, the kernel has killed it.
             if self._status() in (None, -signal.SIGKILL):
                 return "killed"
         return error.kind
@@ -275,13 +276,13 @@ class PolicyProcess(PolicyConversation):
         return self._lifeline is None or bool(readable([self._lifeline.fileno()], time_s))
 
     def _status(self) -> int | None:
-        """Return the exit status of the policy's process, as ``subprocess.Popen.returncode``; None if its keeper ended
-        without telling it. Raises TimeoutError if neither happens.
+        """Return the exit status of the policy's process, as ``subprocess.Popen.returncode``; None if the process that
+        watches it ended without a report. Raises TimeoutError if neither happens.
         """
         assert self._lifeline is not None
         if not self._ended_within(GRACE_S):
             raise TimeoutError
-        return _told(self._lifeline)
+        return _reported(self._lifeline)
 
     def _how_it_ended(self, when: str = "without an answer") -> str:
         if self._child is None:
@@ -311,33 +312,19 @@ class PolicyProcess(PolicyConversation):
             return remedy(message, isolation=self.isolation)
         return f"; {missing[1]} is set here, but reaches the policy only with --policy-env {missing[1]}"
 
-    def _kill_left(self, child: subprocess.Popen[bytes], lifeline: socket.socket) -> None:
-        """Wait for the keeper's end, then do its work if it was killed: as long as a process that the policy started
-        holds the connection, the policy's death would go unnoticed.
-        """
-        with lifeline:
-            readable([lifeline.fileno()])
-            told = _told(lifeline)
-        child.wait()
-        if told is None:
-            kill_marked(self._mark)
-            kill_adopted()
-
     def _kill(self) -> None:
-        """Let the keeper kill the process and everything that the policy started, and remove its folder."""
+        """Have the process and everything that the policy started killed, and its folder removed."""
         if self._child is None or self._lifeline is None:
             return
         with suppress(OSError):
             self._lifeline.shutdown(socket.SHUT_WR)
-        if not self._ended_within(KEEPER_S):
+        if not self._ended_within(ENDING_S):
             self._child.kill()
-        told = _told(self._lifeline) is not None
+        reported = _reported(self._lifeline) is not None
         with suppress(subprocess.TimeoutExpired):
             self._child.wait(REMOVAL_S)
-        if self._watcher is not None and not told:
-            self._watcher.join(KEEPER_S)
-        if self._folder is not None and told and self._child.poll() is None:
-            # It removes many files, and goes on with that alone.
+        if reported and self._folder is not None:
+            # The other process has removed it, or goes on with that alone.
             self._folder.release()
             self._folder = None
 
@@ -370,12 +357,35 @@ def _started(work: Callable[..., None], *given: object) -> threading.Thread:
     return thread
 
 
+def _kill_left(child: subprocess.Popen[bytes], lifeline: socket.socket) -> None:
+    """If the process that watches the policy is killed, do its work: as long as a process that the policy started holds
+    the connection, the policy's death would go unnoticed.
+    """
+    with lifeline:
+        readable([lifeline.fileno()])
+        if _reported(lifeline) is None:
+            child.wait()
+            kill_claimed()
+
+
+def _new_folder() -> PrivateFolder:
+    try:
+        return private_folder()
+    except OSError as error:
+        if error.errno in TOO_MANY_FILES:
+            raise
+        raise StorageError(
+            f"no temporary folder can be made for the policy's process: {error}; mend that, or name another folder in "
+            "the variable TMPDIR, then give the same command again"
+        ) from None
+
+
 def _exhausted(why: object) -> ExhaustedError:
     return ExhaustedError(f"the policy's process could not be started: {why}")
 
 
-def _told(lifeline: socket.socket) -> int | None:
-    """Return the exit status that the keeper has reported, or None if it ended without a report."""
+def _reported(lifeline: socket.socket) -> int | None:
+    """Return the exit status that was reported, or None if it ended without a report."""
     with suppress(OSError, ValueError):
         return int(lifeline.recv(16, socket.MSG_PEEK | socket.MSG_DONTWAIT))
     return None
@@ -391,7 +401,15 @@ def _ended_as(code: int, when: str = "") -> str:
 
 
 def _options(
-    setup: PolicySetup, target: str, *, report_fd: int, lifeline_fd: int, stack_fd: int, lock_fd: int, harness_port: int
+    setup: PolicySetup,
+    target: str,
+    *,
+    report_fd: int,
+    lifeline_fd: int,
+    stack_fd: int,
+    lock_fd: int | None,
+    harness_port: int,
+    namespaces: bool,
 ) -> Options:
     return {
         "root": str(Path(carecontact.__file__).resolve().parents[1]),
@@ -408,6 +426,7 @@ def _options(
         "writable": [os.path.abspath(place) for place in setup.writable],
         "closed": [os.path.abspath(place) for place in (*setup.closed, *filter(None, [cache_folder()]))],
         "isolated": setup.isolated,
+        "namespaces": namespaces,
         "stack_fd": stack_fd,
     }
 

@@ -20,14 +20,13 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
 from carecontact.errors import ContractError
 from carecontact.hosting.child import RECEIVED
-from carecontact.hosting.descendants import MARK
 from carecontact.hosting.isolation.fence import CACHES
 from carecontact.hosting.wire import codec
 
 TASK, TOLD = "witness.json", "told.json"
 """Files in the witness's folder: what it shall do, and what it was told."""
 CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "harness_port")
-CHANCE_VARIABLES = (MARK, "TMPDIR", *CACHES)
+CHANCE_VARIABLES = ("TMPDIR", *CACHES)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
 """Headers whose values the operating system or a random generator chooses, and no trial."""
 

@@ -1,16 +1,10 @@
 """Finds and checks the binary that this machine would load, and says which kernel it is. It loads neither the binary
 nor MuJoCo.
-
-A frozen protocol names a version of the person. Every later kernel must answer this version's contacts as the kernel
-did with which the protocol was frozen. ``frozen.json`` holds the hashes of that kernel and, as ``equal_sources``, the
-hash of the later sources that were shown to answer alike (``kernel.behaviour``; ``tools/frozen_kernel.py`` writes it).
-To a protocol of this version, both are one kernel.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -25,37 +19,6 @@ def sha256() -> str:
     Raises DependencyError as ``file`` does.
     """
     return hashlib.sha256(file().read_bytes()).hexdigest()
-
-
-FROZEN = binary.FOLDER / "frozen.json"
-"""Version of the person -> hashes of the sources and binaries of the kernel with which its protocols were frozen, and
-of the later sources that answer alike."""
-
-
-def identity(version: str) -> str:
-    """Return the hash by which recordings name the kernel that simulated a version of the person.
-
-    It is the sha256 (hex) of the installed binary, or that of the kernel with which the version's protocols were frozen
-    if the installed one was shown to answer alike. Raises DependencyError as ``file`` does.
-    """
-    here = sha256()
-    return frozen_binary(version) or here
-
-
-def frozen_binary(version: str) -> str | None:
-    """Return the hash of the binary with which a version's protocols were frozen, if the sources here answer alike."""
-    frozen = json.loads(FROZEN.read_text(encoding="ascii")).get(version)
-    if frozen is None or binary.sources_sha256() != frozen["equal_sources"]:
-        return None
-    return frozen["binaries"].get(binary.platform_here())
-
-
-def sources_identity(version: str) -> str:
-    """Return the hash of the C sources as locks hold it: that of the sources of the frozen kernel if these here were
-    shown to answer alike."""
-    frozen = json.loads(FROZEN.read_text(encoding="ascii")).get(version)
-    here = binary.sources_sha256()
-    return frozen["sources"] if frozen is not None and frozen["equal_sources"] == here else here
 
 
 def file() -> Path:

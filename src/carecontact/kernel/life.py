@@ -197,8 +197,8 @@ class Life:
     def check_known(self, data: mujoco.MjData) -> None:
         """Check that this model knows what the person in a state does: ``Doings`` are in the model, not in the state.
 
-        Whether the doings are the same cannot be told from a state: recordings of frozen protocols hold states, and
-        nothing can be added to these. Raises SceneError if the person in the state is awake and this model's person
+        Whether the doings are the same cannot be told from a state: recordings hold states,
+        and nothing can be added to these. Raises SceneError if the person in the state is awake and this model's person
         never woke.
         """
         asleep = all(

@@ -16,7 +16,7 @@ from carecontact.policies.motion import CONTROL_HZ, UP, Leg, sample
 F64 = npt.NDArray[np.float64]
 
 FORCE_N = 3.0
-"""A light, clear press: the middle, as a ratio, of the 1 to 8 N in which people wash (design of gates-v2)."""
+"""A light, clear press: the middle, as a ratio, of the 1 to 8 N in which people wash (design of the exam's gates)."""
 LEAST_N = 1.5
 """Below this force [N], the tool stops along the skin until it presses again."""
 MOST_N = 5.0

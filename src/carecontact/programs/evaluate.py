@@ -42,7 +42,7 @@ def evaluate(
     policy: str | type[Any] | Callable[..., Any] | Policy,
     *,
     out: str | Path,
-    protocol: str = "bathing-v2",
+    protocol: str = "bathing-v3-draft",
     level: str | None = None,
     tasks: str | Iterable[str] = "all",
     seeds: str | int | Iterable[int] = "all",
@@ -63,7 +63,7 @@ def evaluate(
             interface; it is not isolated, and its trials run one after another.
         out: folder for recordings, results.json and results.parquet (the table only where pyarrow is installed).
         protocol: id of a shipped protocol, or a .toml file.
-        level: name of a level, for a protocol that has levels: ``"L2"`` of bathing-wide-v1.
+        level: name of a level, for a protocol that has levels: ``"L2"`` of bathing-wide-v2-draft.
         tasks: ``"T1,T2"``, ``"T1-T7"``, ``"all"``, or task ids.
         seeds: ``"0-4"``, ``"all"``, a seed, or seeds.
         arguments: for the constructor or factory; texts that its annotations convert, so not for an object.

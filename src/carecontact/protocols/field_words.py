@@ -96,7 +96,7 @@ def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: ob
         if isinstance(part, int) and isinstance(here, type) and issubclass(here, BaseModel):
             continue  # an entry of the list whose tables were found with its name
         if here is Gates:
-            here = BEHAVIOURS[str(part)].under(_gates_version(content)).gate if part in BEHAVIOURS else None
+            here = BEHAVIOURS[str(part)].under(_gate_set(content)).gate if part in BEHAVIOURS else None
         elif isinstance(here, type) and issubclass(here, BaseModel):
             field = here.model_fields.get(str(part))
             here = None if field is None else field.annotation
@@ -107,6 +107,6 @@ def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: ob
     return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []
 
 
-def _gates_version(content: object) -> str:
+def _gate_set(content: object) -> str:
     gates: Any = content.get("gates") if isinstance(content, Mapping) else None
-    return str(gates.get("version")) if isinstance(gates, Mapping) else ""
+    return str(gates.get("set")) if isinstance(gates, Mapping) else ""

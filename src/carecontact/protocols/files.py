@@ -7,12 +7,8 @@ from pathlib import Path
 
 from carecontact.errors import ConfigError, UnknownNameError
 
-SUCCESSORS = {
-    "bathing-v1": "bathing-v2",
-    "bathing-moved-v1": "bathing-wide-v1",
-    "bathing-droid-v1": "bathing-droid-draft",
-}
-"""Protocol of an earlier release, which had another model of the tissue -> the one that took its place."""
+OF_RELEASE_0_1_0 = frozenset(("bathing-v1", "bathing-v2", "bathing-moved-v1", "bathing-wide-v1", "bathing-droid-v1"))
+"""Protocols that this release no longer has: a release reproduces its own results and no earlier ones."""
 
 
 def shipped_protocols() -> list[str]:
@@ -27,8 +23,11 @@ def protocol_file(name_or_path: str) -> Path:
     Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing and for a protocol of
     an earlier release.
     """
-    if name_or_path in SUCCESSORS:
-        raise ConfigError(no_longer(name_or_path))
+    if name_or_path in OF_RELEASE_0_1_0:
+        raise ConfigError(
+            f"no protocol named {name_or_path!r}: release 0.1.0 has it, and reproduces its results; valid here: "
+            f"{', '.join(shipped_protocols())}"
+        )
     if name_or_path in shipped_protocols():
         return Path(str(resources.files("carecontact.protocols") / f"{name_or_path}.toml"))
     if not name_or_path.endswith(".toml"):
@@ -38,11 +37,3 @@ def protocol_file(name_or_path: str) -> Path:
     if not Path(name_or_path).is_file():
         raise ConfigError(f"protocol file {name_or_path} does not exist")
     return Path(name_or_path)
-
-
-def no_longer(name: str) -> str:
-    """Return the message about a protocol of an earlier release, which names its successor."""
-    return (
-        f"no protocol named {name!r}: earlier releases had it, with another model of the tissue; its successor is "
-        f"{SUCCESSORS[name]!r}, whose results cannot be compared with those of {name!r}"
-    )

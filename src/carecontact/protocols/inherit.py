@@ -6,7 +6,7 @@ import tomllib
 from typing import Any
 
 from carecontact.errors import ConfigError, did_you_mean
-from carecontact.protocols.files import SUCCESSORS, no_longer, protocol_file, shipped_protocols
+from carecontact.protocols.files import OF_RELEASE_0_1_0, protocol_file, shipped_protocols
 
 Table = dict[str, Any]
 
@@ -33,9 +33,7 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
         raise ConfigError(f"{name_or_path}: base: expected the id of a protocol or a .toml file, got {base!s:.80}")
     if base.endswith(".toml"):
         base = str(path.parent / base)
-    elif base in SUCCESSORS:
-        raise ConfigError(f"{name_or_path}: base: {no_longer(base)}")
-    elif base not in shipped_protocols():
+    elif base not in shipped_protocols() and base not in OF_RELEASE_0_1_0:
         valid = ", ".join([*shipped_protocols(), "FILE.toml"])
         raise ConfigError(
             f"{name_or_path}: base: no protocol named {base!r}{did_you_mean(base, shipped_protocols())}; valid: {valid}"
@@ -53,14 +51,14 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
 def inherit(base: Table, own: Table) -> Table:
     """``own`` over ``base``: tables are merged key by key; every other value, lists and so ``tasks`` too, is replaced
     as a whole. A ``person.tissue_set`` brings its own rows, so those of the base go; and where another
-    ``gates.version`` is named the base's gates go, whose fields mean something else."""
+    ``gates.set`` is named the base's gates go, whose fields mean something else."""
     kept = {name: value for name, value in base.items() if name not in OWN}
     person, own_person = kept.get("person"), own.get("person")
     if isinstance(person, dict) and isinstance(own_person, dict) and "tissue_set" in own_person:
         kept["person"] = {name: value for name, value in person.items() if name != "tissue"}
     gates, own_gates = kept.get("gates"), own.get("gates")
-    if isinstance(gates, dict) and isinstance(own_gates, dict) and "version" in own_gates:
-        kept["gates"] = gates if gates.get("version") == own_gates["version"] else {}
+    if isinstance(gates, dict) and isinstance(own_gates, dict) and "set" in own_gates:
+        kept["gates"] = gates if gates.get("set") == own_gates["set"] else {}
     return {"frozen": False, **merged(kept, own)}
 
 

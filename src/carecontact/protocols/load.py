@@ -16,7 +16,7 @@ from carecontact.protocols.tissue_sets import load_tissue_set
 from carecontact.protocols.wrong_fields import wrong_fields
 from carecontact.regions import REGIONS, STANDARD_REGIONS
 
-DEFAULT_PROTOCOL = "bathing-v2"
+DEFAULT_PROTOCOL = "bathing-v3-draft"
 ROW = {name for name, field in Tissue.model_fields.items() if field.is_required()}
 """Fields that a row of tissue must have."""
 

@@ -22,8 +22,6 @@ class Lock(Section):
     fields: dict[str, Any]
     """All of them as they were, defaults included, so that one that changed can be named."""
     embodiment: str
-    metrics: list[str]
-    """Ids with versions, sorted."""
     versions: dict[str, str]
     """Packages whose release changes the physics or what is seen."""
     assets: dict[str, str]

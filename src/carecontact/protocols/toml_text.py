@@ -10,13 +10,15 @@ Table = Mapping[str, Any]
 
 
 def toml_text(table: Table) -> str:
-    """TOML that reads back as this table, with the values of each table before the tables inside it."""
+    """TOML that reads back as this table, with the values of each table before the tables inside it. A value that is
+    None is left out: TOML has no word for it, and for a field it means that the file does not give it."""
     return "\n".join(_lines(table, ())).strip() + "\n"
 
 
 def _lines(table: Table, place: tuple[str, ...]) -> list[str]:
-    lines = [f"{_key(name)} = {_value(value)}" for name, value in table.items() if not _has_own_head(value)]
-    for name, value in table.items():
+    given = {name: value for name, value in table.items() if value is not None}
+    lines = [f"{_key(name)} = {_value(value)}" for name, value in given.items() if not _has_own_head(value)]
+    for name, value in given.items():
         inside = (*place, name)
         head = ".".join(map(_key, inside))
         if isinstance(value, Mapping):

@@ -50,8 +50,7 @@ class PerceptionErrors:
 
 
 def perception_errors(recording: Recording) -> PerceptionErrors | None:
-    """Return the errors of perception; None where no perception was requested, or in recordings from before it was
-    measured.
+    """Return the errors of perception; None where no perception was requested.
 
     Raises RecordingError naming an array that is missing or has another dtype or shape.
     """

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, cast
 
+import numpy.typing as npt
 from pydantic import ValidationError
 
 from carecontact.errors import RecordingError
 from carecontact.recording.canonical import canonical_digest
-from carecontact.recording.check import check_header, check_recording
-from carecontact.recording.migration import RawRecording, check_version, migrate
-from carecontact.recording.schema import SCHEMA_VERSION, Header, Recording
+from carecontact.recording.schema import Header, Recording, check_header, check_recording, check_version
 from carecontact.recording.stored_file import (
     check_sizes,
     check_structure,
@@ -27,29 +28,77 @@ from carecontact.recording.versions import missing_suppliers
 from carecontact.recording.writer import CHECKSUM, HEADER
 
 
-@dataclass(frozen=True, kw_only=True)
-class VerifiedRecording:
-    recording: Recording
-    """The recording in this release's schema."""
-    sha256: str
-    """Stored in the file and found again: the canonical hash of the recording as it was written (hex)."""
-
-
 def read_recording(path: Path | str) -> Recording:
-    """Read and verify one trial file; an earlier schema is migrated.
+    """Read one trial file whole and verify it. Nothing has to check the result again, and its arrays are read-only.
 
     Raises RecordingError naming the file and the fault: absent, not HDF5, truncated, damaged, foreign, too large,
-    a schema that no migration starts from, a required array missing or of the wrong dtype or shape, or a checksum that
-    differs. Raises ConfigError for an installed action or region that its protocol names and that cannot be loaded.
+    another schema, a required array missing or of the wrong dtype or shape, or a checksum that differs. Raises
+    ConfigError for an installed action or region that its protocol names and that cannot be loaded.
     """
-    return read_verified(path).recording
-
-
-def read_verified(path: Path | str) -> VerifiedRecording:
-    """Read and verify as ``read_recording`` does, and return the checksum too."""
     path = Path(path)
     with opened(path) as file:
-        return _read(path, file)
+        found = find_datasets(path, file)
+        check_sizes(path, found)
+        check_structure(path, found)
+        stored, content = read_bytes(path, found, CHECKSUM), read_bytes(path, found, HEADER)
+        header = _header_in(path, content)
+        # As declared, before anything is unpacked: arrays that contradict each other cost no memory.
+        check_recording(header, _arrays_in(found), str(path))
+        arrays = {name: load(path, name, item) for name, item in _arrays_in(found).items()}
+    # Over the bytes that were written: a header that this release would spell differently is still the same.
+    actual = canonical_digest(content, arrays)
+    if actual != stored.hex():
+        raise RecordingError(
+            f"{path}: checksum {actual[:12]}... differs from the stored {stored.hex()[:12]}...: damaged"
+        )
+    return Recording.trusted(header, MappingProxyType(arrays), sha256=actual)
+
+
+def open_recording(path: Path | str, *, sha256: str = "") -> Recording:
+    """Return the recording of a file that was verified before: by the process that wrote it just now, or by the one
+    that scored it. Each array is read when it is used, and the file stays open as long as the recording is there.
+
+    Verifies what ``read_header`` verifies. HDF5's own checksums find damage in an array that is read.
+
+    Args:
+        sha256: canonical hash (hex) of the recording that was verified; empty: whichever is stored there.
+
+    Raises RecordingError as ``read_header`` does, for a file with another hash, and for a damaged array where it is
+    used.
+    """
+    path = Path(path)
+    with ExitStack() as held:
+        file = held.enter_context(opened(path))
+        found = find_datasets(path, file)
+        check_sizes(path, found)
+        stored = read_bytes(path, found, CHECKSUM).hex()
+        if sha256 not in ("", stored):
+            raise RecordingError(f"{path}: sha256 {stored[:12]} and not {sha256[:12]}, as when it was scored")
+        header = _header_in(path, read_bytes(path, found, HEADER))
+        check_header(header, str(path))
+        return Recording.trusted(header, _Stored(path, _arrays_in(found), held.pop_all()), sha256=stored)
+
+
+class _Stored(Mapping[str, npt.NDArray[Any]]):
+    """The arrays of a file that stays open, each read once it is used."""
+
+    def __init__(self, path: Path, items: Mapping[str, Any], held: ExitStack) -> None:
+        self._path, self._items, self._held = path, items, held
+        self._loaded: dict[str, npt.NDArray[Any]] = {}
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if name not in self._loaded:
+            self._loaded[name] = load(self._path, name, self._items[name])
+        return self._loaded[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._items
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        return len(self._items)
 
 
 def read_header(path: Path | str) -> Header:
@@ -57,8 +106,7 @@ def read_header(path: Path | str) -> Header:
 
     Verifies that the file has the length that it was written with, that header and stored checksum pass HDF5's own
     checksums, and that the header says nothing that no trial can say. A flipped bit in an array stays unseen, and so
-    does a missing array: only ``read_recording`` finds those. A recording of an earlier schema is read whole if its
-    migration needs the arrays.
+    does a missing array: only ``read_recording`` finds those.
 
     Raises RecordingError as ``read_recording`` does, for what is verified.
     """
@@ -66,19 +114,13 @@ def read_header(path: Path | str) -> Header:
     with opened(path) as file:
         found = root_datasets(path, file)
         read_bytes(path, found, CHECKSUM)
-        data = _parse_json(path, read_bytes(path, found, HEADER))
-    if check_version(data.get("schema_version"), str(path)) != SCHEMA_VERSION:
-        try:
-            data = migrate(RawRecording(header=data, arrays={}), str(path)).header
-        except RecordingError:
-            return read_recording(path).header
-    header = _parse_header(path, data)
+        header = _header_in(path, read_bytes(path, found, HEADER))
     check_header(header, str(path))
     return header
 
 
 def stored_sha256(path: Path | str) -> str:
-    """Return the canonical hash (hex) that a trial file says it has; nothing but ``read_verified`` computes it again.
+    """Return the canonical hash (hex) that a trial file says it has; only ``read_recording`` computes it again.
 
     Verifies the file's length and the stored hash itself. Raises RecordingError where that cannot be read.
     """
@@ -87,43 +129,18 @@ def stored_sha256(path: Path | str) -> str:
         return read_bytes(path, root_datasets(path, file), CHECKSUM).hex()
 
 
-def _read(path: Path, file: Any) -> VerifiedRecording:
-    found = find_datasets(path, file)
-    check_sizes(path, found)
-    check_structure(path, found)
-    stored, content = read_bytes(path, found, CHECKSUM), read_bytes(path, found, HEADER)
-    data = _parse_json(path, content)
-    arrays = {name: item for name, item in sorted(found.items()) if name not in (CHECKSUM, HEADER)}
-    current = check_version(data.get("schema_version"), str(path)) == SCHEMA_VERSION
-    header = _parse_header(path, data) if current else None
-    if header is not None:
-        # As declared, before anything is unpacked: arrays that contradict each other cost no memory.
-        check_recording(Recording(header=header, arrays=arrays), str(path))
-    loaded = {name: load(path, name, item) for name, item in arrays.items()}
-
-    # Over the bytes that were written: a header that this release would spell differently is still the same.
-    actual = canonical_digest(content, loaded)
-    if actual != stored.hex():
-        raise RecordingError(
-            f"{path}: checksum {actual[:12]}... differs from the stored {stored.hex()[:12]}...: damaged"
-        )
-    if header is None:
-        raw = migrate(RawRecording(header=data, arrays=loaded), str(path))
-        header, loaded = _parse_header(path, raw.header), raw.arrays
-    recording = Recording(header=header, arrays=loaded)
-    check_recording(recording, str(path))
-    return VerifiedRecording(recording=recording, sha256=actual)
+def _arrays_in(found: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: item for name, item in sorted(found.items()) if name not in (CHECKSUM, HEADER)}
 
 
-def _parse_json(path: Path, content: bytes) -> dict[str, Any]:
+def _header_in(path: Path, content: bytes) -> Header:
+    """Parse the header of a file. Raises RecordingError for what is not JSON, another schema, and a wrong field."""
     try:
-        data = json.loads(content)
+        parsed = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{path}: {HEADER} is not JSON: {ascii(str(error))[1:-1]}") from None
-    return cast("dict[str, Any]", data) if isinstance(data, dict) else {}
-
-
-def _parse_header(path: Path, data: dict[str, Any]) -> Header:
+    data = cast("dict[str, Any]", parsed) if isinstance(parsed, dict) else {}
+    check_version(data.get("schema_version"), str(path))
     try:
         return Header.model_validate(data)
     except ValidationError as error:

@@ -7,19 +7,26 @@ order, E changes of posture. World frame unless said otherwise; SI units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, KeysView
+import re
+from collections.abc import Iterator, KeysView, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from math import isfinite
+from types import MappingProxyType
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, field_validator
 
+from carecontact.contract.policy import CAMERAS
 from carecontact.contract.trial import TrialSpec
-from carecontact.errors import UnknownNameError
-from carecontact.regions import SEGMENTS, STANDARD_REGIONS
+from carecontact.errors import RecordingError, UnknownNameError
+from carecontact.regions import REGIONS, SEGMENTS, STANDARD_REGIONS
 
-SCHEMA_VERSION = "carecontact-recording-3"
+SCHEMA_VERSION = "carecontact-recording-4"
+READ_BY_0_1_0 = tuple(f"carecontact-recording-{number}" for number in (1, 2, 3))
+RELEASE_0_1_0 = "0.1.0 (commit 663c7e2317bf04e7b79c6a85d596936bd4fd816c)"
+"""The release that reads the schemas of ``READ_BY_0_1_0``, as CHANGELOG.md names it."""
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
@@ -88,8 +95,8 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
-soft region since schema 3: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums
-what happened since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
+soft region: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums what happened
+since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
 protocol: on a body of another build, and where the seed draws the tissue. What the person does by itself is there
 where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
@@ -103,6 +110,13 @@ leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer
 ``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``). ``wall/arithmetic``
 names, as text, the libraries that rounded the numbers (``recording.provenance``), and ``wall/renderer`` what drew the
 pictures: vendor, renderer and version as OpenGL names them."""
+
+
+PATH = re.compile(r"(policy|scorer|actions|state|report|perception|wall)(/[A-Za-z0-9_.-]+)+")
+STORABLE_KINDS = "biuf"
+WALL_CLOCK = "wall/"
+MAX_WALL_BYTES = 1 << 20
+"""Largest size of all arrays together that no hash covers; the longest is what a policy printed last, 8 kB."""
 
 
 class Failure(BaseModel):
@@ -134,9 +148,8 @@ class Header(BaseModel):
     human_joints: list[str]
     pose_base_in_world: list[float]
     """(7,) position, quat_wxyz"""
-    identity: dict[str, str] = {}
-    """Declared versions of what simulated the trial (``recording.versions.DECLARED``); empty in a recording of release
-    0.1.0, which declared none."""
+    identity: dict[str, str]
+    """Declared versions of what simulated the trial (``recording.versions.DECLARED``)."""
     versions: dict[str, str]
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
@@ -156,21 +169,35 @@ class Header(BaseModel):
         """A recording may be shown to anyone, at once; the salt of its run may not."""
         return spec.sealed
 
-    @property
-    def protocol_sha256(self) -> str:
-        """Hash of the protocol as the trial was recorded. The rules of a trial with the earlier model of the tissue
-        have lost fields since (``recording.migration``), so the hash is the one that the migration took before."""
-        protocol = self.spec.protocol
-        earlier = any(row.contact_n_m3 is None for row in protocol.person.tissue.values())
-        return self.sha256.get("protocol", protocol.sha256) if earlier else protocol.sha256
-
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One trial. It behaves as a mapping from the paths of its arrays to the arrays."""
+    """One trial, known to be well formed: its constructor checks it, ``recording.reader`` makes one of a file that it
+    has verified, and nobody can write to its arrays. It behaves as a mapping from the paths of its arrays to the
+    arrays.
+
+    Raises RecordingError naming the array and what was expected: presence, dtype and the shapes of ARRAYS and
+    OPTIONAL_ARRAYS, whose named dimensions must agree with one another and with the header's lists.
+    """
 
     header: Header
-    arrays: dict[str, npt.NDArray[Any]] = field(default_factory=dict[str, npt.NDArray[Any]])
+    arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict[str, npt.NDArray[Any]])
+    stored_sha256: str = field(default="", init=False, repr=False, compare=False)
+    """Canonical hash (hex) of the file that it was read from; empty for a recording that was not read from a file."""
+
+    def __post_init__(self) -> None:
+        check_recording(self.header, self.arrays, self.header.spec.trial_id)
+        locked = {path: _locked(array) for path, array in self.arrays.items()}
+        object.__setattr__(self, "arrays", MappingProxyType(locked))
+
+    @classmethod
+    def trusted(cls, header: Header, arrays: Mapping[str, npt.NDArray[Any]], *, sha256: str = "") -> Self:
+        """Return a recording without checking it: of a file that ``recording.reader`` has verified, or of a scripted
+        contact, which has some of the arrays only."""
+        made = object.__new__(cls)
+        for name, value in (("header", header), ("arrays", arrays), ("stored_sha256", sha256)):
+            object.__setattr__(made, name, value)
+        return made
 
     def __getitem__(self, path: str) -> npt.NDArray[Any]:
         """Raises UnknownNameError, which is a KeyError, for an array that this recording does not have."""
@@ -192,6 +219,13 @@ class Recording:
         return self.arrays.keys()
 
 
+def _locked(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a view that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
     """Return all required arrays at zero length, for trials that ended before t = 0.
 
@@ -209,3 +243,85 @@ def dimensions(path: str) -> list[str]:
     """Dimensions of an array as ARRAYS or OPTIONAL_ARRAYS spells them, for example ``["T", "S", "3"]``."""
     meaning = (ARRAYS.get(path) or OPTIONAL_ARRAYS[path])[1]
     return [d.strip() for d in meaning[meaning.index("(") + 1 : meaning.index(")")].split(",") if d.strip()]
+
+
+def check_version(version: object, place: str) -> None:
+    """Raises RecordingError, which begins with ``place`` and names the release to use, for another schema than
+    SCHEMA_VERSION."""
+    if version in READ_BY_0_1_0:
+        raise RecordingError(
+            f"{place}: schema {version!r} was written by carecontact 0.1.0 or before; release {RELEASE_0_1_0} reads it"
+        )
+    if version != SCHEMA_VERSION:
+        raise RecordingError(
+            f"{place}: schema {version!r} was written by a newer release; this one reads {SCHEMA_VERSION!r}"
+        )
+
+
+def check_recording(header: Header, arrays: Mapping[str, npt.NDArray[Any]], place: str) -> None:
+    """Raises RecordingError, which begins with ``place``, as ``Recording`` does. Of the arrays, it looks at dtype and
+    shape alone, so that those of a file need not be read."""
+    check_header(header, place)
+    missing = sorted(ARRAYS.keys() - arrays.keys())
+    if missing:
+        raise RecordingError(f"{place}: missing from its required arrays: {', '.join(missing)}")
+    for path, array in arrays.items():
+        if not PATH.fullmatch(path) or ".." in path:
+            raise RecordingError(f"{place}: unexpected array path {path!r}")
+        if array.dtype.kind not in STORABLE_KINDS:
+            raise RecordingError(f"{place}: {path} has dtype {array.dtype}; only numbers and booleans are stored")
+
+    unhashed = sum(array.nbytes for path, array in arrays.items() if path.startswith(WALL_CLOCK))
+    if unhashed > MAX_WALL_BYTES:
+        allowed = f"at most {MAX_WALL_BYTES} are allowed there"
+        raise RecordingError(f"{place}: {WALL_CLOCK} has {unhashed} bytes, which no checksum covers; {allowed}")
+    sizes = {
+        "S": (len(header.segments), "header.segments"),
+        "R": (len(header.regions), "header.regions"),
+        "J": (len(header.human_joints), "header.human_joints"),
+        "V": (len(CAMERAS), "contract.policy.CAMERAS"),
+    }
+    described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in arrays}
+    for path, (dtype, _) in described.items():
+        array, dims = arrays[path], dimensions(path)
+        if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<"):
+            raise RecordingError(f"{place}: {path} has dtype {array.dtype}, expected {np.dtype(dtype)}")
+        if array.ndim != len(dims):
+            raise RecordingError(f"{place}: {path} has shape {array.shape}, expected ({', '.join(dims)})")
+        for name, size in zip(dims, array.shape, strict=True):
+            expected, source = (int(name), "the schema") if name.isdigit() else sizes.setdefault(name, (size, path))
+            if size != expected:
+                raise RecordingError(
+                    f"{place}: {path} has shape {array.shape}, expected ({', '.join(dims)}) "
+                    f"with {name} = {expected} as in {source}"
+                )
+
+
+def check_header(header: Header, place: str) -> None:
+    """Raises RecordingError, which begins with ``place``, for a header that no trial of this schema can have."""
+    check_version(header.schema_version, place)
+    if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
+        raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
+    _check_names(header, place)
+    if len(header.pose_base_in_world) != 7:
+        raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
+    if not all(isfinite(number) for number in header.pose_base_in_world):
+        raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
+
+
+def _check_names(header: Header, place: str) -> None:
+    """Columns are found by their names: each name occurs once, and every name that the task's score needs is there."""
+    protocol = header.spec.protocol
+    region = protocol.task(header.spec.task_id).region
+    needed = {
+        "segments": [REGIONS[region].segment, *protocol.contact.neighbourhood[region]],
+        "regions": [region],
+        "human_joints": list[str](),
+    }
+    for name, wanted in needed.items():
+        listed: list[str] = getattr(header, name)
+        if len(set(listed)) != len(listed):
+            raise RecordingError(f"{place}: header.{name} names something twice: {', '.join(listed)}")
+        absent = [w for w in wanted if w not in listed]
+        if absent:
+            raise RecordingError(f"{place}: {absent[0]!r} is not in header.{name}; listed: {', '.join(listed)}")

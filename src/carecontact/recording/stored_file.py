@@ -14,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import CarecontactError, RecordingError
-from carecontact.recording.check import STORABLE_KINDS
+from carecontact.recording.schema import STORABLE_KINDS
 from carecontact.recording.writer import CHECKSUM, HEADER
 
 MAX_FILE_BYTES = 4 << 30
 MAX_ARRAY_BYTES = 1 << 30
 """Largest size of all arrays together, as declared and before any is unpacked: a few hundred bytes can claim terabytes.
-A whole trial of bathing-v2 has 13 MB."""
+A whole trial of bathing-v3-draft has 13 MB."""
 MAX_EXPANSION = 1100
 """Declared over stored bytes of one array; deflate reaches at most 1032."""
 FREE_BYTES = 1 << 16
@@ -160,8 +160,11 @@ def read_bytes(path: Path, found: Mapping[str, Any], name: str) -> bytes:
 
 
 def load(path: Path, name: str, item: Any) -> npt.NDArray[Any]:
+    """Return an array of a file, read-only."""
     try:
-        return np.asarray(item[()])
+        array = np.asarray(item[()])
+        array.flags.writeable = False
+        return array
     except OSError as error:  # of a checksum or a decompression that fails
         if error.errno in NOT_ITS_FAULT:
             raise

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from carecontact.recording.canonical import canonical_hash, header_json, little_endian
-from carecontact.recording.check import check_recording
+from carecontact.recording.canonical import canonical_digest, header_json, little_endian
 from carecontact.recording.schema import Recording
 from carecontact.recording.storage import is_full, no_space
 
@@ -30,15 +29,15 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
     """Write ``recording`` to ``path``, replacing it only when every byte is on disk.
 
     The file is built in memory. Arrays carry per-chunk and metadata checksums beside the stored canonical hash.
-    Raises RecordingError if the recording itself is malformed, StorageError where there is no space.
+    Raises StorageError where there is no space.
     """
     h5py: Any = import_module("h5py")  # ships no types
     path = Path(path)
-    check_recording(recording, path.name)
+    header = header_json(recording.header)
     # v110 metadata is checksummed by the library itself, so a damaged file fails instead of reading as something else.
     with h5py.File(path.name, "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
-        file.create_dataset(HEADER, data=np.frombuffer(header_json(recording.header), np.uint8), fletcher32=True)
-        digest = np.frombuffer(bytes.fromhex(canonical_hash(recording)), np.uint8)
+        file.create_dataset(HEADER, data=np.frombuffer(header, np.uint8), fletcher32=True)
+        digest = np.frombuffer(bytes.fromhex(canonical_digest(header, recording.arrays)), np.uint8)
         file.create_dataset(CHECKSUM, data=digest, fletcher32=True)
         for name in sorted(recording.arrays):
             array = little_endian(recording.arrays[name])

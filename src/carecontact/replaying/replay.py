@@ -22,7 +22,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.episode.drivers import driver_of
 from carecontact.episode.prepare import settled_world, under_control
 from carecontact.errors import RecordingError, SceneError
-from carecontact.kernel.found import identity as kernel_identity
+from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.recording.schema import Header, Recording
 from carecontact.replaying.commands import recorded_actions
 from carecontact.sim.simulation import Simulation
@@ -234,7 +234,7 @@ def _world(header: Header) -> Simulation:
 def _foreign(header: Header, why: str) -> str:
     """Return the message, in one line, about a recording that this release cannot show."""
     recorded = header.sha256.get("kernel", "none")
-    here = kernel_identity(header.spec.protocol.person.version)
+    here = kernel_sha256()
     tissue = "" if recorded == here else f" and with another tissue kernel ({recorded[:12]}; installed: {here[:12]})"
     return (
         f"{header.spec.trial_id}: recorded by carecontact {header.versions.get('carecontact', 'unknown')}{tissue}, "

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from carecontact.errors import ConfigError
-from carecontact.recording import read_verified
+from carecontact.recording import read_recording
 from carecontact.recording.versions import versions_of
 from carecontact.runs.results_content import RESULTS_SCHEMA
 from carecontact.runs.results_file import RESULTS_NAME, write_results
@@ -115,14 +115,14 @@ def _read(path: Path) -> Row:
 
 def _compute(folder: Path, trial: Row, ids: Sequence[str]) -> dict[str, float | None]:
     path = folder / f"{trial['trial_id']}.h5"
-    verified = read_verified(path)
-    if verified.sha256 != trial["recording_sha256"]:
+    recording = read_recording(path)
+    if recording.stored_sha256 != trial["recording_sha256"]:
         raise ConfigError(
-            f"{path}: differs from the recording that was scored (sha256 {verified.sha256[:12]} and not "
+            f"{path}: differs from the recording that was scored (sha256 {recording.stored_sha256[:12]} and not "
             f"{trial['recording_sha256'][:12]}); score the run without --append"
         )
-    check_streams(verified.recording)
-    contact = find_contact(verified.recording)
+    check_streams(recording)
+    contact = find_contact(recording)
     values = {id_: METRICS[id_].compute(contact) for id_ in ids}
     check_finite(str(path), values)
     return values

@@ -14,15 +14,13 @@ from carecontact.errors import ConfigError
 from carecontact.recording.writer import replace_file
 
 BASELINES = "baselines.json"
-EARLIER = "null_arms.json"
-"""Name of the file in earlier releases, which is read where there is no new one."""
 SCHEMA = "carecontact-baselines-1"
 
 
 class _Named(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    version: Annotated[Literal["carecontact-baselines-1", "carecontact-null-arms-1"], Field(alias="schema")]
+    version: Annotated[Literal["carecontact-baselines-1"], Field(alias="schema")]
     runs: list[str]
     """Relative to the run's own folder, so that both can be moved together."""
 
@@ -32,7 +30,6 @@ def remember(folder: Path, baselines: Sequence[Path]) -> None:
     places = [os.path.relpath(path.resolve(), folder.resolve()) for path in baselines]
     content = json.dumps({"schema": SCHEMA, "runs": places}, indent=1)
     replace_file(folder / BASELINES, f"{content}\n".encode())
-    (folder / EARLIER).unlink(missing_ok=True)
 
 
 def remembered(folder: Path) -> dict[str, Path]:
@@ -40,8 +37,8 @@ def remembered(folder: Path) -> dict[str, Path]:
 
     Raises ConfigError for a file that is damaged.
     """
-    path = named_in(folder)
-    if path is None:
+    path = folder / BASELINES
+    if not path.is_file():
         return {}
     try:
         found = _Named.model_validate_json(path.read_bytes())
@@ -50,8 +47,3 @@ def remembered(folder: Path) -> dict[str, Path]:
         why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
         raise ConfigError(f"{path} is damaged ({why}); name the baselines again with --baseline RUN...") from None
     return {name: Path(os.path.normpath(folder / name)) for name in found.runs}
-
-
-def named_in(folder: Path) -> Path | None:
-    """Return the file that names the baselines of a run; None where no baseline was named."""
-    return next((path for name in (BASELINES, EARLIER) if (path := folder / name).is_file()), None)

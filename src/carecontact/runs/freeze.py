@@ -13,11 +13,10 @@ import numpy as np
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
-from carecontact.kernel.found import sources_identity
+from carecontact.kernel.binary import sources_sha256
 from carecontact.protocols import shipped_protocols
 from carecontact.protocols.lock import SUFFIX, Lock, lock_path, read_lock
 from carecontact.recording.versions import package_versions
-from carecontact.scoring import METRICS
 
 PACKAGES = ("mujoco", "mediapipe")
 """Their releases change the physics or what is seen; numpy's and scipy's are held by the sums and the score hashes."""
@@ -36,7 +35,7 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile the worlds of ``worlds_of`` and sum over each; about a second for each."""
     return Lock(
         id=protocol.name, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
-        embodiment=EMBODIMENTS[protocol.scene.tool].id, metrics=sorted(METRICS),
+        embodiment=EMBODIMENTS[protocol.scene.tool].id,
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
         worlds={name: world_sums(*world) for name, world in (worlds_of(protocol) if worlds else {}).items()},
@@ -50,7 +49,7 @@ def asset_hashes(protocol: Protocol) -> dict[str, str]:
     bodies = protocol.variation.bodies or (protocol.person.body,)
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
     places.append(("panda", "panda.npz"))
-    return {"kernel/c": sources_identity(protocol.person.version)} | {
+    return {"kernel/c": sources_sha256()} | {
         f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
         for place, name in places
         if (file := folder / place / name).is_file()
@@ -96,7 +95,6 @@ def drift(lock: Lock, now: Lock) -> list[str]:
         f"{name}: locked {_short(before)}, here {_short(after)}"
         for name, before, after in _changed(lock.fields, now.fields)
     ]
-    said += [f"metric {metric}: locked, not here" for metric in sorted(set(lock.metrics) - set(now.metrics))]
     said += [
         f"version of {name}: locked {old or 'none'}, here {new or 'none'}"
         for name, old, new in _changed(lock.versions, now.versions)

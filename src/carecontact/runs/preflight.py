@@ -39,7 +39,7 @@ def check_rows(protocol: Protocol) -> None:
     """Raises ConfigError for a metric, a limit pack, or an action of the protocol's gates that the scorer cannot use;
     nothing is computed."""
     for action in protocol.gates.actions:
-        behaviour_of(action, protocol.gates.version)
+        behaviour_of(action, protocol.gates.set)
     protocol_sweeps(protocol)
     checked_metrics()
     list(LIMIT_PACKS.values())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from carecontact.errors import RecordingError
-from carecontact.recording import read_verified
+from carecontact.recording import read_recording
 from carecontact.runs.scoring_pool import ScoringLostError, ScoringPool
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.score import score_recording
@@ -24,14 +24,14 @@ class ScoredFile:
 def score_file(path: Path) -> ScoredFile | str:
     """Return the score of a file, or in one line why it has none."""
     try:
-        verified = read_verified(path)
-        header = verified.recording.header
+        recording = read_recording(path)
+        header = recording.header
         if path.stem != header.spec.trial_id:
             trial_id = header.spec.trial_id
             raise RecordingError(
                 f"{path}: holds trial {trial_id}; rename the file to {trial_id}.h5, or remove it if it is a copy"
             )
-        score = score_recording(verified.recording, sha256=verified.sha256)
+        score = score_recording(recording)
     except RecordingError as error:
         return str(error)
     return ScoredFile(score=score, versions=header.versions)

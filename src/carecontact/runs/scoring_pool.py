@@ -1,7 +1,7 @@
-"""Processes that score recordings, each at the end of a socket that nobody else can open.
+"""Processes that score recordings, each at the end of a socket.
 
-The pools of the standard library share named semaphores in ``/dev/shm``, where any policy on this machine could take
-them and so stop the run, and where a killed command leaves them behind.
+The pools of the standard library lose all work if one process dies, and a killed command leaves their named semaphores
+in ``/dev/shm``.
 """
 
 from __future__ import annotations

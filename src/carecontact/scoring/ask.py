@@ -37,7 +37,7 @@ def ask(contact: Contact, method: str, *arguments: object, action: str | None = 
     """
     action = action or contact.task.action
     trial_id = contact.recording.header.spec.trial_id
-    behaviour = behaviour_of(action, contact.protocol.gates.version)
+    behaviour = behaviour_of(action, contact.protocol.gates.set)
     title = f"{BEHAVIOURS.title(action)}: {method}"
     with blamed_on(title, trial_id):
         found: Any = getattr(behaviour, method)(*arguments)

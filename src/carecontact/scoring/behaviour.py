@@ -71,9 +71,8 @@ class Behaviour(ABC, Generic[G]):
     """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
     says little where nothing was meant to move."""
 
-    versions: ClassVar[Mapping[str, Behaviour[Any]]] = {}
-    """``gates.version`` of a protocol -> the Behaviour that scores the action under that version in place of this
-    one."""
+    sets: ClassVar[Mapping[str, Behaviour[Any]]] = {}
+    """``gates.set`` of a protocol -> the Behaviour that scores the action under that set in place of this one."""
     harder: ClassVar[Section | None] = None
     """Stricter values of the gate, which no trial has to meet; ``harder_band@1`` reports which trials would meet
     them."""
@@ -87,9 +86,9 @@ class Behaviour(ABC, Generic[G]):
                 known = ", ".join(fields)
                 raise ConfigError(f"{cls.__name__}.sweeps: the gate has no field {sweep.field!r}; valid: {known}")
 
-    def under(self, version: str) -> Behaviour[Any]:
-        """Return the Behaviour that scores the action under this ``gates.version``."""
-        return self.versions.get(version, self)
+    def under(self, gates: str) -> Behaviour[Any]:
+        """Return the Behaviour that scores the action under this ``gates.set``."""
+        return self.sets.get(gates, self)
 
     @abstractmethod
     def judge(self, contact: Contact, gate: G, attempt: Attempt) -> Judgement: ...
@@ -130,15 +129,15 @@ class Behaviour(ABC, Generic[G]):
         return f"touched for {score.longest_on_s:.2f} s"
 
 
-def behaviour_of(action: str, version: str) -> Behaviour[Any]:
-    """Return the Behaviour that scores an action under a version of the gates.
+def behaviour_of(action: str, gates: str) -> Behaviour[Any]:
+    """Return the Behaviour that scores an action under a set of gates.
 
     Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour.
     """
     row: object = BEHAVIOURS[action]
     if not isinstance(row, Behaviour):
         raise ConfigError(f"action {action!r} is registered as {type(row).__name__}; expected a Behaviour object")
-    return cast("Behaviour[Any]", row).under(version)
+    return cast("Behaviour[Any]", row).under(gates)
 
 
 def actions_that_move() -> frozenset[str]:

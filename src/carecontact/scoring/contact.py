@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -97,11 +96,7 @@ class Contact:
 
 
 def find_contact(recording: Recording) -> Contact:
-    """Apply the protocol's contact definition to a recording that ``check_recording`` accepts.
-
-    The arrays of the contact and of its recording cannot be written to.
-    """
-    recording = Recording(header=recording.header, arrays={path: _locked(a) for path, a in recording.arrays.items()})
+    """Apply the protocol's contact definition to a recording. The arrays of the contact cannot be written to."""
     force = recording["scorer/force_human_from_robot_in_world"]
     header = recording.header
     protocol = header.spec.protocol
@@ -138,12 +133,6 @@ def find_contact(recording: Recording) -> Contact:
         window=never,
     )
     return with_floor(bare, on_n=definition.on_n, off_n=definition.off_n)
-
-
-def _locked(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    view = array.view()
-    view.flags.writeable = False
-    return view
 
 
 def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:

@@ -25,14 +25,14 @@ def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
     Raises ConfigError where two sweeps have the same name.
     """
     used = {task.action for task in protocol.tasks}
-    return sweeps_of((action for action in protocol.gates.actions if action in used), protocol.gates.version)
+    return sweeps_of((action for action in protocol.gates.actions if action in used), protocol.gates.set)
 
 
-def sweeps_of(actions: Iterable[str], version: str) -> dict[str, tuple[str | None, Sweep]]:
-    """Return what ``protocol_sweeps`` returns, for these actions under a version of the gates. Raises ConfigError where
+def sweeps_of(actions: Iterable[str], gates: str) -> dict[str, tuple[str | None, Sweep]]:
+    """Return what ``protocol_sweeps`` returns, for these actions under a set of gates. Raises ConfigError where
     two sweeps have the same name."""
     found: dict[str, tuple[str | None, Sweep]] = {FLOOR.name: (None, FLOOR)}
-    for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name, version).sweeps]:
+    for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name, gates).sweeps]:
         if sweep.name in found:
             other = found[sweep.name][0]
             owner = "the contact floor" if other is None else BEHAVIOURS.title(other)
@@ -78,7 +78,7 @@ def _level_at_floor(contact: Contact, measures: Measures, own: Verdict, on_n: fl
     off_n = on_n * definition.off_n / definition.on_n
     if (on_n, off_n) != (definition.on_n, definition.off_n):
         contact = with_floor(contact, on_n=on_n, off_n=off_n)
-        needs = behaviour_of(contact.task.action, contact.protocol.gates.version).needs
+        needs = behaviour_of(contact.task.action, contact.protocol.gates.set).needs
         measures = measure(contact, episodes="episodes" in needs, wrist="wrist" in needs)
     return level(reach_verdict(contact, judge(contact, measures), own=own))
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, cast
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import BaseModel, ConfigDict
 
 from carecontact.contract.protocol import protocol_title
-from carecontact.recording.versions import DECLARED
 
 Anatomy = Literal["process_failure", "target", "off_target", "none"]
 FailureMode = Literal[
@@ -75,7 +74,7 @@ class TrialScore(BaseModel):
     (``recording.versions.DECLARED``), the hashes of ``body`` and ``robot``, the version of ``mujoco``, the ``control``,
     and the hash of the ``salt``, as far as recorded. Where the protocol draws bodies, ``body`` is called ``drawn
     body``, because it is the seed's. ``rejected_tissue`` names regions whose calibration was rejected, if any."""
-    provenance: dict[str, str] = {}
+    provenance: dict[str, str]
     """What computed and drew it: ``arithmetic``, ``renderer`` and the hashes of the compiled ``model`` and of the
     ``kernel``, as far as recorded. Two machines differ here, and their trials may be compared."""
     ended: str
@@ -149,29 +148,6 @@ class TrialScore(BaseModel):
     protocol."""
     additional: dict[str, float | None] = {}
     """Metric id -> value, for every registered metric that has no field above."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_release_0_1_0(cls, found: object) -> object:
-        """Read a score of release 0.1.0: it declared no versions, and its world held the bytes of model and kernel."""
-        held = cast("dict[str, Any]", found) if isinstance(found, dict) else {}
-        if "provenance" in held or not isinstance(held.get("world"), dict):
-            return cast("object", found)
-        world: dict[str, str] = dict(held["world"])
-        compiled = {name: world.pop(name) for name in ("model", f"{DRAWN}model", "kernel") if name in world}
-        provenance = {name.removeprefix(DRAWN): value for name, value in compiled.items()}
-        return {**held, "world": {**DECLARED, **world} if world else world, "provenance": provenance}
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out a name, a privilege, gates and flags that there are not, as results from before them do."""
-        content = handler(self)
-        if not self.privileged:
-            del content["privileged"]
-        for name in ("policy_name", "joints_beyond", "joints_consumed", "skin_in_tool"):
-            if content[name] is None:
-                del content[name]
-        return content
 
     @property
     def protocol_title(self) -> str:

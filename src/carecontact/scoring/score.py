@@ -6,10 +6,9 @@ from math import isfinite
 from typing import Any
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.recording import Header, Recording, canonical_hash, check_recording
+from carecontact.recording import Header, Recording, canonical_hash
 from carecontact.recording.notes import language_use
 from carecontact.recording.provenance import provenance_of
-from carecontact.recording.versions import DECLARED
 from carecontact.scoring.attribution.attribute import attribute
 from carecontact.scoring.contact import Contact, any_column, find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
@@ -24,22 +23,18 @@ from carecontact.scoring.validity.streams import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
 
-def score_recording(recording: Recording, *, sha256: str | None = None) -> TrialScore:
+def score_recording(recording: Recording) -> TrialScore:
     """Score one trial by the settings of the protocol in its header; no simulator, no clock, no other file.
 
-    Raises RecordingError naming the array if a required one is missing or malformed, if a scorer stream holds what it
-    cannot hold, or if its samples are not one physics step apart: a broken stream never becomes a number. Raises
-    ConfigError naming a metric or an action, its package and the trial where that is at fault.
-
-    Args:
-        sha256: canonical hash that the recording was verified by; default: computed.
+    Raises RecordingError naming the array if a scorer stream holds what it cannot hold, or if its samples are not one
+    physics step apart: a broken stream never becomes a number. Raises ConfigError naming a metric or an action, its
+    package and the trial where that is at fault.
     """
-    check_recording(recording, recording.header.spec.trial_id)
     check_streams(recording)
     contact = find_contact(recording)
     measured, additional = measure_all(contact)
     score = TrialScore(
-        **_trial(contact, sha256 or canonical_hash(recording)),
+        **_trial(contact, canonical_hash(recording)),
         **measured,
         **_contact(contact),
         **_outcome(contact),
@@ -98,7 +93,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "language_served": spoken.served,
         "language_sent": spoken.sent,
         "protocol_id": protocol.name,
-        "protocol_sha256": header.protocol_sha256,
+        "protocol_sha256": header.spec.protocol.sha256,
         "overrides": protocol.overrides,
         "recording_sha256": sha256,
         "world": _world(contact),
@@ -124,7 +119,7 @@ def _world(contact: Contact) -> dict[str, str]:
     """Return what was put into the simulation. The controller is a part of it, since it decides how stiff the robot is.
     The action space is not: it is the method's language, and methods that speak different ones are compared."""
     header = contact.recording.header
-    world = (header.identity or DECLARED) | {n: header.sha256[n] for n in ("body", "robot") if n in header.sha256}
+    world = header.identity | {n: header.sha256[n] for n in ("body", "robot") if n in header.sha256}
     if header.spec.protocol.variation.draws_models and "body" in world:
         world[f"{DRAWN}body"] = world.pop("body")
     if "mujoco" in header.versions:
@@ -182,6 +177,6 @@ def _versions(contact: Contact) -> dict[str, str]:
     return {
         **{row.name: row.id for row in with_field},
         "contact": contact.protocol.contact.version,
-        "gates": contact.protocol.gates.version,
+        "gates": contact.protocol.gates.set,
         "limits": contact.protocol.limits.pack,
     }

@@ -119,8 +119,8 @@ class TouchedCells:
 
 
 def touched_cells(contact: Contact) -> TouchedCells | None:
-    """Return what the region's cells felt; None where no cell was touched, and for recordings without cells: of rigid
-    regions and of earlier schemas."""
+    """Return what the region's cells felt; None where no cell was touched, and for recordings without cells, of rigid
+    regions."""
     arrays = contact.recording.arrays
     if "scorer/cell_touch_m2s" not in arrays or not arrays["scorer/cell_touch_m2s"].any():
         return None

@@ -24,7 +24,6 @@ from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.human.tissue import add_tissue
-from carecontact.world.human.versions import BUILDS, Build
 from carecontact.world.scene import region_shell, set_physics
 
 Shape = Literal["flat", "hemisphere", "cap"]
@@ -127,7 +126,6 @@ class Bench:
         dt_s: float = 0.002,
         shell: Shell | None = None,
         glides: bool = False,
-        build: Build = BUILDS["person-v1"],
     ) -> None:
         self.body, self.region, self.indenter = body, region, indenter
         self.shell = shell or region_shell(body, region, tissue)
@@ -137,7 +135,7 @@ class Bench:
         set_physics(spec, dt_s=dt_s)
         spec.option.gravity = [0, 0, 0]
         spec.worldbody.add_body(name=body_name(segment))
-        add_tissue(spec, body, region, self.shell, tissue, tools="indenter", build=build)
+        add_tissue(spec, body, region, self.shell, tissue, tools="indenter")
         _add_indenter(spec, indenter, glides=glides)
         self.model = spec.compile()
         self._data = mujoco.MjData(self.model)

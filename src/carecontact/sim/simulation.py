@@ -21,10 +21,9 @@ from carecontact.sim.joint_control import JointControl
 from carecontact.sim.proprioception import Proprioception
 from carecontact.world.human.end_stops import cubic_nm_rad3, end_stop_nm, past_range
 from carecontact.world.human.joints import Hinge
-from carecontact.world.human.plates import plates
+from carecontact.world.human.plates import PLATES
 from carecontact.world.human.pose import lying_pose_deg, rest_deg
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import BUILDS
 from carecontact.world.scene import Scene
 from carecontact.world.sensors import plate_sensor
 
@@ -327,11 +326,10 @@ class _Columns:
         self._net = span(*(f"net_{s}" for s in SEGMENTS))
         normal = span(*(f"normal_{s}" for s in SEGMENTS))
         self._found, self._normal = normal[:, 0], normal[:, 1 :: self.SLOT]
-        own = plates(BUILDS[protocol.person.version])
         # (S, plates) 1 where a plate belongs to the surface of a segment, else 0.
-        self._plates_of = np.array([[float(plate.segment == s) for plate in own] for s in SEGMENTS])
-        self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in own))
-        normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in own))
+        self._plates_of = np.array([[float(plate.segment == s) for plate in PLATES] for s in SEGMENTS])
+        self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in PLATES))
+        normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in PLATES))
         self._plate_found, self._plate_normal = normal[:, 0], normal[:, 1 :: self.SLOT]
         self.joints = span(*(f"q_{hinge.name}" for hinge in hinges))[:, 0]
         self._range = np.radians([hinge.range_deg for hinge in hinges]).T

@@ -21,7 +21,7 @@ from carecontact.contract.session import ActionBounds
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.episode.prepare import settled_world
-from carecontact.errors import PolicyError
+from carecontact.errors import ActionError, PolicyError
 from carecontact.hosting.conversation import BUDGET_S, PolicyConversation
 from carecontact.hosting.opening import open_policy
 from carecontact.hosting.setup import PolicySetup
@@ -113,12 +113,17 @@ class Check:
             policy.reset(episode.instruction, episode.session)
         self._say("ok", "reset", f"ready after {self.times['reset']:.2f} s")
         answers: list[list[Action]] = []
+        moved: list[bool] = []
         for name in ("first", "second"):
             with self._timed(name):
                 answers.append(policy.act(observation).actions)
+            for number, action in enumerate(answers[-1]):
+                try:
+                    moved.append(episode.check(action)[1])
+                except ActionError as error:
+                    policy.refuse(number, error)
         self._say("ok", "answer", self._answered(answers[0], card))
-        outside = [a for a in answers[0] if episode.space.clip(a, episode.session) is not a]
-        if outside:
+        if outside := [a for a, was_moved in zip(answers[0], moved, strict=False) if was_moved]:
             place = "joint limits" if episode.space.in_joints else "workspace"
             many = f"{len(outside)} of {len(answers[0])} targets are outside the {place}"
             text = f"{many}; the card requests that they are moved onto its border"
@@ -130,7 +135,7 @@ class Check:
         if not self._keeps_pace(len(answers[1]), card):
             return False
         if deep is not None:
-            deep.ask_again(policy, observation, episode.session)
+            deep.ask_again(policy, observation, episode)
         return True
 
     def _answered(self, actions: list[Action], card: PolicyCard) -> str:

@@ -26,13 +26,17 @@ HALF_OPEN = 0.5
 
 
 def look_at(actions: Sequence[Action], observation: Observation) -> list[Finding]:
-    """Return warnings about an answer that the contract accepts."""
-    poses = [action.pose_tcp_in_base for action in actions if action.pose_tcp_in_base is not None]
+    """Return warnings about an answer. A pose that the trial will refuse gives none: the refusal says more."""
+    poses = [action.pose_tcp_in_base for action in actions if _is_pose(action.pose_tcp_in_base)]
     found = [*_gripper(actions, observation), *_end(actions)]
     if poses:
         first = np.asarray(poses[0], np.float64)
         found += [*_position(first, observation.pose_tcp_in_base), *_orientation(first, observation.pose_tcp_in_base)]
     return found
+
+
+def _is_pose(given: F64 | None) -> bool:
+    return given is not None and given.shape == (7,) and bool(np.isfinite(given).all()) and bool(given[3:].any())
 
 
 def _position(target: F64, tool: F64) -> Iterator[Finding]:

@@ -18,8 +18,9 @@ from contextlib import suppress
 from importlib import import_module
 
 from carecontact.errors import DependencyError
+from carecontact.hosting.isolation.namespaces import granted
 from carecontact.hosting.readable import readable
-from carecontact.own_process import die_with_parent, hide_memory
+from carecontact.own_process import die_with_parent
 from carecontact.trials import worker
 
 NEWS = struct.Struct("=q")
@@ -37,7 +38,6 @@ NEEDED = (
 def main() -> None:
     die_with_parent(int(sys.argv[1]))
     own = os.getpid()
-    hide_memory()
     line = socket.socket(fileno=os.dup(0))
     assert line.fileno() == TOLD_FD
     prepare()
@@ -84,6 +84,7 @@ def prepare() -> None:
     from carecontact.world.human.library import body_names, load_body
 
     import_pose()
+    granted()
     # Every file of every body is then in memory, and what happens to it on the disk does not change this run.
     load_body(body_names()[0])
     # Where a library is missing, a trial that renders will say so.

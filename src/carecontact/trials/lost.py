@@ -21,9 +21,9 @@ import numpy as np
 from carecontact.contract.action import Action
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
-from carecontact.hosting.isolation.fence import available
+from carecontact.hosting.isolation.fence import closes_signals
 from carecontact.hosting.setup import PolicySetup
-from carecontact.hosting.wire.codec import encode_actions
+from carecontact.hosting.wire.codec import plain_actions
 from carecontact.hosting.wire.packing import pack
 from carecontact.recording import read_recording
 from carecontact.recording.reason import reason_of
@@ -39,7 +39,7 @@ OTHER_ANSWERS = "other_answers"
 
 def digest_of(actions: Sequence[Action]) -> bytes:
     """Return the 32 bytes that stand for one answer."""
-    return hashlib.sha256(pack(encode_actions(list(actions)))).digest()
+    return hashlib.sha256(pack(plain_actions(actions))).digest()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class Losses:
         """``before``: trials in ``out`` that earlier commands lost."""
         self._lost = lost_before(out, before)
         self._again = set[str]()
-        self._signals_closed = policy.ref.kind == "remote" or (policy.isolated and available() == "full")
+        self._signals_closed = policy.ref.kind == "remote" or (policy.isolated and closes_signals())
         """Whether the policy has no means to send the trial's process a signal."""
 
     def counted(self, recording: Recording, answers: bytes) -> Recording:

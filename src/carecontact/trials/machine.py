@@ -253,18 +253,13 @@ def check_kept() -> Finding:
 def check_isolation() -> Finding:
     """Say how far a policy can be isolated, and whether it runs as root."""
     from carecontact.hosting.isolation.fence import available
-    from carecontact.hosting.isolation.sockets import open_sockets
 
     level = available()
-    lines = [] if level == "full" else ["run policies that you do not trust on another host (docs/threat-model.md)"]
+    lines = []
+    if not level.startswith("full"):
+        lines.append("run policies that you do not trust on another host (docs/threat-model.md)")
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         lines.append("you are root, and so is every policy: run policies that you do not trust as an ordinary user")
-    elif sockets := open_sockets():
-        lines.append(
-            f"programs of this user listen at {sockets[0]} and {counted(len(sockets) - 1, 'other socket')}, to which a "
-            "policy may connect (before Linux 7.1): those that start programs, such as systemd, Docker and tmux, start "
-            "them without isolation; run policies that you do not trust as a user who has none"
-        )
     return Finding(name="isolation", fine=True, warning=bool(lines), detail="; ".join([level, *lines]))
 
 

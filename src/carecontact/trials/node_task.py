@@ -15,7 +15,6 @@ from pathlib import Path
 from carecontact import __version__
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import CarecontactError
-from carecontact.hosting.descendants import kill_abandoned
 from carecontact.hosting.isolation.private_folder import private_folder
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.storage import is_full
@@ -103,7 +102,6 @@ def differences(task: NodeTask) -> str:
 
 
 def _carried_out(task: NodeTask, node: str) -> NodeDone:
-    kill_abandoned()
     folder = private_folder()
     try:
         out, work = folder.path / "out", folder.path / "work"

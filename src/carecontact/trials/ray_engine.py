@@ -21,7 +21,7 @@ from carecontact import __version__
 from carecontact.contract.policy_ref import PolicyRef
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, DependencyError, RecordingError
-from carecontact.recording import read_recording, write_recording
+from carecontact.recording import open_recording, write_recording
 from carecontact.recording.schema import KILLED
 from carecontact.runs.manifest import MANIFEST
 from carecontact.trials.engine import Ended
@@ -181,7 +181,7 @@ class RayTrials:
         partial = Path(tempfile.mkdtemp(dir=self.work)) / "trial.h5"
         partial.write_bytes(content)
         try:
-            recording = read_recording(partial)
+            recording = open_recording(partial)
         except RecordingError as error:
             return self._once_more(spec, f"what node {done.node} sent cannot be read: {error}")
         os.replace(partial, self.out / f"{spec.trial_id}.h5")

@@ -15,7 +15,6 @@ from carecontact.contract.trial import TrialSpec
 from carecontact.errors import ConfigError, ExhaustedError, StorageError, counted
 from carecontact.exhausted import REMEDY, is_exhausted
 from carecontact.hosting.conversation import WAIT_REPORT_S
-from carecontact.hosting.descendants import kill_abandoned, removals
 from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
 from carecontact.hosting.setup import PolicySetup
 from carecontact.recording.reason import reason_of
@@ -40,8 +39,6 @@ START_PAUSE_S = 1.0
 LACKING_ALONE_S, LACKING_S = 30.0, 600.0
 """How long [s] trials may fail to begin, without one that ends, before the run stops: while none runs, and while some
 do, whose policies may be the cause."""
-MOST_REMOVALS = 4
-"""Number of processes that still remove what earlier policies left, from which on the next trial waits."""
 DEFAULT_TRIAL_LIMIT_S = 14400.0
 """Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
 (``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
@@ -167,7 +164,6 @@ def open_run(
             check_ready()
         _prepare(out, specs, identity=identity, purpose=purpose, whole=whole)
         setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
-        kill_abandoned()
         remove_abandoned_folders()
         with work_folder(out) as work:
             conditions = Conditions(
@@ -239,11 +235,6 @@ class Run:
         """
         self._take_finished()
         while self._may_start() and self.running < (self.slots() if jobs is None else jobs):
-            if (removing := removals()) >= MOST_REMOVALS or (removing and not self._engine.has_room()):
-                self._next_start = time.monotonic() + START_PAUSE_S
-                what = "files that policies left are still being removed"
-                self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {what}")
-                break
             if not self._engine.has_room():
                 self._stop_full(str(no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")))
                 break

@@ -136,11 +136,11 @@ def _act(episode: Episode, policy: PolicyConversation, pace: Pace, on_look: Call
         if on_look is not None and episode.raw is not None:
             on_look(Look(observation=observation, actions=reply.actions, raw=episode.raw, sent=reply.sent))
         observation = None
-        for number, action in enumerate(reply.actions, start=1):
+        for number, action in enumerate(reply.actions):
             try:
-                step = episode.step(action, observe=number == len(reply.actions))
+                step = episode.step(action, observe=number + 1 == len(reply.actions))
             except ActionError as error:
-                raise PolicyError("action", str(error)) from None
+                policy.refuse(number, error)
             if step.reason is not None:
                 return
             observation = step.observation

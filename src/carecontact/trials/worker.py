@@ -16,8 +16,8 @@ import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from carecontact.hosting.descendants import claim_children, wait_for_children
-from carecontact.own_process import die_with_parent, hide_memory
+from carecontact.hosting.isolation.process_tree import claim_children, wait_for_children
+from carecontact.own_process import die_with_parent
 
 if TYPE_CHECKING:
     from carecontact.trials.trial import Look
@@ -60,7 +60,6 @@ def main(parent: int) -> int:
     die_with_parent(parent)
     os.environ.update(SINGLE_THREAD)
     os.environ.update({name: value for name, value in WITHOUT_WINDOWS.items() if name not in os.environ})
-    hide_memory()
     claim_children()
     from carecontact.recording.storage import is_full
 

@@ -17,11 +17,8 @@ from typing import cast
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError
 from carecontact.hosting.conversation import WAIT_REPORT_S, readable
-from carecontact.hosting.descendants import kill_adopted, kill_marked, marks_of
-from carecontact.hosting.isolation.private_folder import remove_abandoned_folders
-from carecontact.hosting.keeper import KEEPER_S
 from carecontact.hosting.setup import PolicySetup
-from carecontact.recording import read_header, read_recording, write_recording
+from carecontact.recording import open_recording, read_header, write_recording
 from carecontact.recording.schema import FAILED, KILLED, Recording
 from carecontact.recording.storage import no_space
 from carecontact.runs.manifest import runs_beside
@@ -200,7 +197,7 @@ def _read(worker: _Worker) -> tuple[Recording | None, str]:
     """Return the trial's recording, or None and what is wrong with it."""
     try:
         # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
-        recording = read_recording(worker.partial)
+        recording = open_recording(worker.partial)
     except RecordingError as error:
         return None, str(error)
     if recording.header.spec == worker.spec.sealed:
@@ -238,14 +235,10 @@ def available_cores() -> int:
 
 
 def kill_tree(process: Process) -> None:
-    """Kill the worker with its process group, and its policy, which has a session of its own, with all it started."""
+    """Kill the worker with its process group. Its policy, which has a session of its own, ends with it."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    # The keeper of its policy kills them, too, and more of them.
-    kill_marked(marks_of(process.pid), grace_s=KEEPER_S)
-    kill_adopted()
-    remove_abandoned_folders()
 
 
 def _death(returncode: int, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:

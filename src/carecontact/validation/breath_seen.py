@@ -19,12 +19,10 @@ from carecontact.kernel.life import PARTS, Doings, Life
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.true_skin import skin_in_world
-from carecontact.validation.known_misses import known_of_breath
 from carecontact.validation.result import Array, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.world.human.breathing import breath_body
-from carecontact.world.human.plates import plate_body, plates
-from carecontact.world.human.versions import BUILDS
+from carecontact.world.human.plates import PLATES, plate_body
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -79,11 +77,9 @@ def measures(living: Subject, doings: Doings) -> Iterator[Measure]:
         name = f"{part}, {doings.breath_hz:g} Hz, {1000 * size:g} mm"
         off, inner, depth = abs(found.skin_m[part] - size), found.inner[part], abs(found.depth_off_m[part])
         yield Measure(name=f"{name}: visible skin of the inner area against the declared size", unit="mm",
-                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM,
-                      known=known_of_breath(living.protocol, part, "inner"))  # fmt: skip
+                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM)  # fmt: skip
         yield Measure(name=f"{name}: visible skin of the whole area against the declared size", unit="mm",
-                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, decides=part == REGION,
-                      known=known_of_breath(living.protocol, part, "whole"))  # fmt: skip
+                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, decides=part == REGION)  # fmt: skip
         yield Measure(name=f"{name}: share of the area within {SIZE_LIMIT_MM:g} mm", unit="%",
                       value=100 * float((1000 * off <= SIZE_LIMIT_MM).mean()))  # fmt: skip
         yield Measure(name=f"{name}: depth image, median place against the declared size", unit="mm",
@@ -134,8 +130,7 @@ def _over_plates(simulation: Simulation) -> tuple[Indices, Flags]:
     one."""
     model, data = simulation.model, simulation.data
     front = simulation.data.joint(breath_body("chest")).xaxis
-    build = BUILDS[simulation.protocol.person.version]
-    bodies = [model.body(plate_body(plate.name)).id for plate in plates(build) if plate.breathes]
+    bodies = [model.body(plate_body(plate.name)).id for plate in PLATES if plate.breathes]
     hulls = np.concatenate([_world_vertices(model, data, g) for g in range(model.ngeom)
                             if model.geom_bodyid[g] in bodies])  # fmt: skip
     skin = skin_in_world(model, data)

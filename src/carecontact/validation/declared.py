@@ -23,7 +23,6 @@ from carecontact.world.human.end_stops import cubic_nm_rad3, end_stop_nm, stop_n
 from carecontact.world.human.plates import plate_body, plates_of
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import BUILDS
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -83,11 +82,11 @@ def segment_masses(scene: Scene) -> tuple[Array, Array]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    declared, build = segment_inertias(body), BUILDS[scene.protocol.person.version]
+    declared = segment_inertias(body)
     masses, distances = [], []
     for segment in body.segments:
         bone, row = model.body(body_name(segment)).id, declared[segment]
-        parts = [bone, *(model.body(plate_body(plate.name)).id for plate in plates_of(segment, build))]
+        parts = [bone, *(model.body(plate_body(plate.name)).id for plate in plates_of(segment))]
         mass = model.body_mass[parts]
         here = data.xmat[bone].reshape(3, 3).T @ (mass @ data.xipos[parts] / mass.sum() - data.xpos[bone])
         masses.append([mass.sum(), row.mass_kg])

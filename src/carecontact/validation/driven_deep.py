@@ -1,7 +1,7 @@
 """The robot's own tool, driven into the abdomen as fast, as stiffly and as deep as a policy can: does the skin hold it?
 
-The kernel of person-v1 drops a contact point that has sunk into a tool beyond the tool's middle, because the nearest
-surface is then behind it. A tool of which this is true goes through the skin: nothing holds it until it meets bone.
+The kernel drops a contact point that has sunk into a tool beyond the tool's middle, because the nearest surface is then
+behind it. A tool of which this is true goes through the skin: nothing holds it until it meets bone.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Contacts beyond those that the check of energy judges: harder, faster and deeper. In some of them, energy is made or
-vanishes. What is found is reported and decides nothing, but for those of ``ledger.OF_THE_LAYER``, which
-that check judges on the abdomen of person-v2.
+vanishes. What is found is reported and decides nothing, but for those of ``ledger.OF_THE_LAYER``, which that check
+judges.
 """
 
 from __future__ import annotations

@@ -5,9 +5,8 @@ A ball flies straight at a part of the settled person and is free to come back. 
 that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
 (``world.human.plates``), on the abdomen the published curve under the ball of the same size that it was measured with.
 
-Person-v1 is held to that only where a blow meets a single plate, and only to blows on the abdomen that its published
-curve stores or the robot can bring; later versions are held to more (``Claims``). The robot's own tool strikes the
-abdomen with all that the robot brings, and is driven into it (``driven_deep``), and both decide.
+``Claims`` says which blows decide. The robot's own tool strikes the abdomen with all that the robot brings, and is
+driven into it (``driven_deep``), and both decide.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ from carecontact.validation.moves import surface_point
 from carecontact.validation.reference import ABDOMEN
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
-from carecontact.world.human.plates import CAP, FLOOR_GIVE, REACHED_FROM_THE_SIDE, Plate, plate_body, plates
-from carecontact.world.human.versions import BUILDS, Build
+from carecontact.world.human.plates import CAP, FLOOR_GIVE, PLATES, REACHED_FROM_THE_SIDE, Plate, plate_body
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -60,8 +58,7 @@ BELLY_HOLDS_J = 0.47
 """Energy that the 47.5 mm of tissue of the slim bodies store if the abdomen's published curve goes on as its last 10 mm
 do, in proportion to depth^1.5 (our reading). With more, no publication says whether soft tissue is left between."""
 STRAY = 0.05
-"""Share of the largest force that other parts may bear where hulls overlap: a blow so deep that they bear more does not
-decide."""
+"""Share of the largest force from which the force on other parts is reported."""
 CHEST_ASIDE_M = ((0.0, -0.085), (0.0, -0.06), (0.0, -0.03), (0.0, 0.03), (0.0, 0.04), (0.0, 0.06))
 THIGH_ASIDE_M = ((0.0, -0.06), (0.0, -0.08), (0.0, -0.1), (0.0, -0.12), (0.05, -0.08), (0.1, -0.08), (0.1, -0.1))
 BELLY_ASIDE_M = ((0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08), (0.08, 0.06), (-0.08, 0.06), (0.08, -0.06),
@@ -150,34 +147,31 @@ class Blow:
 
 @dataclass(frozen=True, kw_only=True)
 class Claims:
-    """What blows on one version of the person are held to.
+    """What blows are held to.
 
-    Hulls that overlap bear a blow with two springs, so that the prediction, which is of one, decides only where nothing
-    else bears the blow. Where the hulls meet in planes, it always decides; if the site evades, only that the blow is
-    not harder. Rigid bone under the abdomen answers hard blows as no person does; there, only what the published curve
-    stores and what the robot can bring has to be held. Where the bone rests on a plate, BELLY_HOLDS_J has to be held,
-    and no blow may be harder than the standard's spring of the abdomen predicts.
+    The prediction always decides; if the site evades, only that the blow is not harder. The abdomen has to hold
+    BELLY_HOLDS_J and what the robot can bring, and no blow on it may be harder than the standard's spring of the
+    abdomen predicts.
     """
 
-    build: Build
     robot_j: float
     """Energy that the robot can bring."""
 
     @classmethod
     def of(cls, protocol: Protocol) -> Claims:
-        return cls(build=BUILDS[protocol.person.version], robot_j=robot_brings_j(protocol))
+        return cls(robot_j=robot_brings_j(protocol))
 
     def predicts(self, blow: Blow) -> bool:
         """Whether a finite prediction decides from both sides."""
-        return not blow.evades and (self.build.parted or blow.on_one_spring)
+        return not blow.evades
 
     def holds(self, blow: Blow) -> bool:
         """Whether it decides that the ball is stopped by what it met first."""
-        most_j = max(self.robot_j, BELLY_HOLDS_J if self.build.belly_floor else 0.0)
+        most_j = max(self.robot_j, BELLY_HOLDS_J)
         return not blow.evades and (bool(np.isfinite(blow.predicted_n)) or blow.energy_j <= most_j)
 
 
-def sites(build: Build) -> list[Site]:
+def sites() -> list[Site]:
     """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, and the
     abdomen.
     """
@@ -187,7 +181,7 @@ def sites(build: Build) -> list[Site]:
         return Site(name=name, plate=plate.name, towards=towards, ball_m=BALL_M, depth_m=depth,
                     force_n=plate.give.force_n(depth))  # fmt: skip
 
-    rows = {plate.name: plate for plate in plates(build)}
+    rows = {plate.name: plate for plate in PLATES}
     struck = ("chest", CAP, "hip", "thigh", "shank")
     found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], DOWNWARD, part.replace("_", " ")) for part in struck]
     # With the arm.
@@ -217,7 +211,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         name = f"abdomen, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
         measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MIDDLE_PERCENT))
     rows = [(b.site, [b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, claims.predicts(b)]) for b in blows]
-    curves = {site.name: np.array([row for name, row in rows if name == site.name]) for site in sites(claims.build)}
+    curves = {site.name: np.array([row for name, row in rows if name == site.name]) for site in sites()}
     return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -245,10 +239,10 @@ def _measures(blow: Blow, claims: Claims) -> Iterator[Measure]:
     if np.isfinite(blow.predicted_n):
         yield Measure(name=f"{blow.name}: off the prediction of {blow.predicted_n:.1f} N", value=abs(blow.off_percent),
                       unit="%", limit=TOLERANCE_PERCENT, decides=claims.predicts(blow))  # fmt: skip
-        if claims.build.parted and blow.evades:
+        if blow.evades:
             yield Measure(name=f"{blow.name}: harder than the prediction of {blow.predicted_n:.1f} N", unit="%",
                           value=blow.off_percent, limit=TOLERANCE_PERCENT)  # fmt: skip
-    elif np.isfinite(blow.most_n) and claims.build.belly_floor:
+    elif np.isfinite(blow.most_n):
         yield Measure(name=f"{blow.name}: harder than the spring of the abdomen, {blow.most_n:.1f} N", unit="%",
                       value=100 * (blow.peak_n / blow.most_n - 1), limit=TOLERANCE_PERCENT)  # fmt: skip
     yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
@@ -265,7 +259,7 @@ def _measures(blow: Blow, claims: Claims) -> Iterator[Measure]:
 def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float, ...]) -> Iterator[Blow]:
     """Yield every blow, each on the person at rest."""
     scene = subject.scene("forearm")
-    struck = sites(BUILDS[subject.protocol.person.version])
+    struck = sites()
     state: Array | None = None
     for mass in masses:
         for ball in sorted({site.ball_m for site in struck}):
@@ -281,10 +275,9 @@ def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float,
 
 def scan(subject: Subject) -> Iterator[Measure]:
     """Yield what blows beside the middle of a part measured: on breastbone and ribs, between the thighs, and toward the
-    border of the abdomen. Of person-v1 they are reported: its plates overlap, and its left thigh is rigid from the
-    side."""
+    border of the abdomen."""
     scene, impedance, claims = subject.scene("forearm"), subject.protocol.impedance, Claims.of(subject.protocol)
-    rows = {site.name: site for site in sites(BUILDS[subject.protocol.person.version])}
+    rows = {site.name: site for site in sites()}
     for name, mass, speed, places in (
         ("chest", 5.0, 0.2, CHEST_ASIDE_M), ("thigh", 10.0, 0.5, THIGH_ASIDE_M),
         ("abdomen", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),
@@ -301,7 +294,7 @@ def scan(subject: Subject) -> Iterator[Measure]:
             except SceneError as error:
                 yield Measure(name=str(error), value=float("nan"))
                 continue
-            decides = claims.build.parted and not (name == "chest" and right > OUTWARD_M)
+            decides = not (name == "chest" and right > OUTWARD_M)
             yield from (replace(m, decides=m.decides and decides) for m in _measures(blow, claims))
 
 

@@ -14,7 +14,6 @@ from carecontact.protocols import FAST_DT_S
 from carecontact.validation.result import Array, Measure
 from carecontact.validation.rig import CAP, FLANK, PAD, Rig, Tool, robot_tool
 from carecontact.validation.subject import Subject
-from carecontact.world.human.versions import BUILDS
 
 SPEED_M_S, SIDEWAYS_M_S, GAP_M, BOUNCE_S = 0.2, 0.1, 0.003, 0.4
 PRESS_N, DRAG_M_S, DRAG_WAY_M, DRAG_FROM_M = 3.0, 0.1, 0.1, -0.04
@@ -75,8 +74,7 @@ def measures(subject: Subject, region: str, *, quick: bool) -> Iterator[Measure]
             for case, contact in CASES.items():
                 name = f"{region}: {tool.name} of 1 kg {case} at {1000 * dt_s:g} ms"
                 yield from contact(subject, region, tool, dt_s=dt_s).measures(name)
-        # Person-v1 makes energy in some of these.
-        if not quick and BUILDS[subject.protocol.person.version].entry_m > 0:
+        if not quick:
             for hard in OF_THE_LAYER.get(region, ()):
                 yield from hard.contact(subject, region, hard.tool, dt_s=dt_s).measures(hard.name(region, dt_s))
 
@@ -176,9 +174,9 @@ PILE = replace(PAD, name="pad of pile", give_m3_n=8e-7)
 """The pad, covered with a pile twice as soft as the wash mitt's, so that a large share of the energy is in the contact
 layer."""
 OF_THE_LAYER = {"abdomen": (dragged(CAP, 10.0, 0.3), dragged(PAD, 7.0, 0.1)), "upper_arm": (pressed(PILE, 12.0),)}
-"""Region -> contacts that judge persons whose contact layer stiffens and whose skin is let in. In the drags, skin comes
-to lie deep in the tool without having been pressed there: without the brake of the tool, the cap's has 20 to 30 % more
-energy than was put in. The pile is compressed far beyond where it is linear: with the energy of a linear layer, 4 % is
+"""Region -> contacts that judge the layer that stiffens and the skin that is let in. In the drags, skin comes to lie
+deep in the tool without having been pressed there: without the brake of the tool, the cap's has 20 to 30 % more energy
+than was put in. The pile is compressed far beyond where it is linear: with the energy of a linear layer, 4 % is
 missing."""
 CASES |= {
     "bounced": partial(bounce, speed_m_s=SPEED_M_S),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.subject import Subject
-from carecontact.world.human.versions import BUILDS
 
 
 def person_bench(
@@ -23,13 +22,11 @@ def person_bench(
 def declared_bench(
     subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
 ) -> Bench:
-    """Return a bench with the law that the protocol declares and the contact of its version of the person, on the
-    person's own mesh."""
+    """Return a bench with the law that the protocol declares, on the person's own mesh."""
     scene = subject.scene(region)
     return Bench(
         body=scene.body, region=region, tissue=subject.tissue(region), indenter=indenter,
         dt_s=dt_s or subject.protocol.physics.dt_s, shell=scene.regions[region].shell, glides=glides,
-        build=BUILDS[subject.protocol.person.version],
     )  # fmt: skip
 
 

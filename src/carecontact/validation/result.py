@@ -24,9 +24,6 @@ class Measure:
     side: Literal["at most", "at least", "below"] = "at most"
     decides: bool = True
     """Whether the limit decides. If not, it is shown, but missing it does not fail the check."""
-    known: bool = False
-    """Whether this person is known to miss the limit (``known_misses``). Missing it fails the check all the same; it is
-    told apart from a miss that nobody knows of."""
 
     @property
     def met(self) -> bool | None:
@@ -44,8 +41,7 @@ class Measure:
         value = float(f"{self.value:.6g}") if isfinite(self.value) else None
         out: dict[str, Any] = {"name": self.name, "value": value, "unit": self.unit}
         if self.limit is not None:
-            out |= {"limit": self.limit, "side": self.side, "decides": self.decides, "met": self.met,
-                    "known": self.known}  # fmt: skip
+            out |= {"limit": self.limit, "side": self.side, "decides": self.decides, "met": self.met}
         return out
 
 
@@ -69,11 +65,6 @@ class CheckResult:
     @property
     def missed(self) -> list[Measure]:
         return [m for m in self.measures if m.decides and m.met is False]
-
-    @property
-    def fails_as_known(self) -> bool:
-        """Whether the check was finished and has failed by nothing but limits that this person is known to miss."""
-        return self.error is None and bool(self.missed) and all(m.known for m in self.missed)
 
     def regions(self, curve: str) -> list[str]:
         """Return the regions that have such a curve, named ``<region>/<curve>``, in the order in which they were

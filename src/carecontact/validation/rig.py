@@ -21,7 +21,6 @@ from carecontact.validation.subject import Subject
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.human.tissue import add_tissue
-from carecontact.world.human.versions import BUILDS
 from carecontact.world.scene import set_physics
 
 HEAVY_KG = 1e6
@@ -91,8 +90,7 @@ class Rig:
         set_physics(spec, dt_s=dt_s or subject.protocol.physics.dt_s)
         spec.option.gravity = [0, 0, 0]
         spec.worldbody.add_body(name=body_name(REGIONS[region].segment))
-        build = BUILDS[subject.protocol.person.version]
-        add_tissue(spec, scene.body, region, self.shell, subject.tissue(region), tools="tool", ledger=True, build=build)
+        add_tissue(spec, scene.body, region, self.shell, subject.tissue(region), tools="tool", ledger=True)
         self._add_tool(spec, tool, joints, mass_kg, *(at or middle(self.shell)))
         self.model = spec.compile()
         law = f"{region}/law"

@@ -11,6 +11,7 @@ from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
 from carecontact.errors import SceneError
 from carecontact.recording.schema import SEGMENTS, Header, Recording
+from carecontact.recording.versions import DECLARED
 from carecontact.regions import REGIONS
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.c1_peak_force import peak_force
@@ -89,11 +90,12 @@ def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]
     header = Header(
         spec=spec, ended="done", failure=None, card=None, embodiment="", comfort_arm_deg=None, segments=list(SEGMENTS),
         regions=list(protocol.regions), human_joints=simulation.joint_names,
-        pose_base_in_world=simulation.pose_base_in_world.tolist(), versions={}, sha256={}, solver_warnings=[],
+        pose_base_in_world=simulation.pose_base_in_world.tolist(), identity=DECLARED, versions={}, sha256={},
+        solver_warnings=[],
     )  # fmt: skip
-    return Recording(
-        header=header,
-        arrays={
+    return Recording.trusted(
+        header,
+        {
             "scorer/time_s": np.concatenate([s.time_s for s in samples]),
             "scorer/force_human_from_robot_in_world": np.concatenate([s.force for s in samples]),
             "scorer/normal_force": np.concatenate([s.normal for s in samples]),

@@ -15,7 +15,6 @@ from carecontact.validation.moves import Motion, perform
 from carecontact.validation.result import CheckResult, Measure
 from carecontact.validation.scores import Scores, scores_of
 from carecontact.validation.subject import Subject
-from carecontact.world.human.versions import BUILDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +30,7 @@ MOTIONS = (GENTLE, FIRM, STOP_GO)
 @dataclass(frozen=True, kw_only=True)
 class Change:
     """Factors on K_c (and thereby on the coupling, which is declared relative to it), on D_c, on the contact layer and
-    on the depth over which that of person-v2 stiffens, and the coefficient of friction, where None means the shipped
+    on the depth over which it stiffens, and the coefficient of friction, where None means the shipped
     one.
     """
 
@@ -55,19 +54,16 @@ CHANGES = {
     "damping x 0.25": Change(damping=0.25), "damping x 4": Change(damping=4.0),
     "contact layer x 0.5": Change(contact=0.5), "contact layer x 2": Change(contact=2.0),
     "friction 0.1": Change(friction=0.1), "friction 0.3": Change(friction=0.3), "friction 1": Change(friction=1.0),
+    "layer's depth x 0.5": Change(layer=0.5), "layer's depth x 2": Change(layer=2.0),
 }  # fmt: skip
-OF_THE_LAYER = {"layer's depth x 0.5": Change(layer=0.5), "layer's depth x 2": Change(layer=2.0)}
-"""Only for persons whose contact layer stiffens."""
 QUICK_CHANGES, QUICK_MOTIONS = ("as shipped", "stiffness x 0.5"), (GENTLE, FIRM)
 FIELDS = {"c1_n": "C1", "c5_n": "C5", "stroke_m": "stroke"}
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     motions = QUICK_MOTIONS if quick else MOTIONS
-    stiffens = BUILDS[subject.protocol.person.version].layer_m > 0
-    changes = CHANGES | OF_THE_LAYER if stiffens else CHANGES
-    names = QUICK_CHANGES if quick else tuple(changes)
-    table = {name: {b.name: _run_one(subject, b, changes[name]) for b in motions} for name in names}
+    names = QUICK_CHANGES if quick else tuple(CHANGES)
+    table = {name: {b.name: _run_one(subject, b, CHANGES[name]) for b in motions} for name in names}
     values = np.array([[[getattr(s, f) for f in FIELDS] for s in row.values()] for row in table.values()])
     measures = [
         Measure(name="scores that are not finite", value=float((~np.isfinite(values)).sum()), limit=0.0),
@@ -111,7 +107,7 @@ def order(scores: Mapping[str, Scores], column: int) -> list[str]:
 def draw(result: CheckResult, figure: Figure) -> None:
     values = result.curves["values"]
     quick = values.shape[0] == len(QUICK_CHANGES)
-    names, motions = (QUICK_CHANGES, QUICK_MOTIONS) if quick else (tuple(CHANGES | OF_THE_LAYER), MOTIONS)
+    names, motions = (QUICK_CHANGES, QUICK_MOTIONS) if quick else (tuple(CHANGES), MOTIONS)
     names = names[: values.shape[0]]
     figure.set_size_inches(7.0, 2.8)
     units = (1.0, 1.0, 1000.0)

@@ -7,7 +7,7 @@ about a millimetre before it slips.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,6 @@ from carecontact.kernel.readings import Cells
 from carecontact.regions import REGIONS
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.validation.known_misses import ScrubLimit, known_of_scrub
 from carecontact.validation.moves import DOWN, axes, in_base, skin_points, surface_point
 from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.result import Array, CheckResult, Measure
@@ -65,15 +64,12 @@ class Scrub:
     """(k,) share of the normal force that these cells bear. Where it is 0 in half of the periods or more, the tool does
     not slide enough, whatever its friction is elsewhere."""
 
-    def measures(
-        self, name: str, *, wanted: float, friction: float, known: Set[ScrubLimit] = frozenset()
-    ) -> list[Measure]:
+    def measures(self, name: str, *, wanted: float, friction: float) -> list[Measure]:
         """Return what the scrub measured. Without a step at speed, nothing of it is a number, and no limit is met.
 
         Args:
             wanted: mean force that the scrub was to have [N].
             friction: the declared coefficient.
-            known: the limits that this person is known to miss in this scrub.
         """
         time, force, steady = self.time_s, self.force_n, self.steady
         high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
@@ -81,18 +77,16 @@ class Scrub:
         rubbed = self.friction[~np.isnan(self.friction)]
         rubs, slides = (np.median(of) if of.size else np.nan for of in (rubbed, self.sliding))
         return [
-            Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N,
-                    known="noise" in known),
+            Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N),
             Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
             Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
-                    value=float(100 * abs(mean / wanted - 1)), known="mean force" in known),
+                    value=float(100 * abs(mean / wanted - 1))),
             Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
-                    limit=25.0, side="at least", known="time at speed" in known),
+                    limit=25.0, side="at least"),
             Measure(name=f"{name}: share of the force under which the tool slides", unit="%",
                     limit=SLIDING_LIMIT_PERCENT, side="at least", value=float(100 * slides)),
             Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
-                    limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1)),
-                    known="friction" in known),
+                    limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1))),
         ]  # fmt: skip
 
 
@@ -106,7 +100,6 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
             done = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES, region=region)
             measures += done.measures(
                 f"{region} scrubbed with {wanted:.0f} N", wanted=wanted, friction=subject.tissue(region).friction,
-                known=known_of_scrub(subject.protocol, region, wanted),
             )  # fmt: skip
             curves[f"{region}/{wanted:.0f} N"] = np.stack([done.time_s, done.force_n, done.steady.astype(np.float64)])
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)

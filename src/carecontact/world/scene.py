@@ -31,7 +31,6 @@ from carecontact.world.human.shell import Shell, kept_shell, limb_shell, trunk_s
 from carecontact.world.human.skeleton import add_skeleton, body_name
 from carecontact.world.human.skin import add_skin
 from carecontact.world.human.tissue import SoftRegion, add_tissue
-from carecontact.world.human.versions import BUILDS
 from carecontact.world.joint_impedance import replace_impedance
 from carecontact.world.place import UNMOVED, Place
 from carecontact.world.robot import add_robot
@@ -106,7 +105,7 @@ def build_spec(
     if skin:
         add_skin(spec, body if target is None else refined(body, REGIONS[target].segment, times=2))
         if breathes:
-            move_skin(spec, body, BUILDS[protocol.person.version])
+            move_skin(spec, body)
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
     add_furniture(spec, protocol.scene, head_x=head_x, head_y=float(root[1]))
     add_light(spec)
@@ -123,11 +122,11 @@ def _add_person(
     """Add skeleton and shells, with the pelvis at ``root`` (3,) [m]."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
-    alive, build = protocol.person.alive, BUILDS[protocol.person.version]
+    alive = protocol.person.alive
     breathes = alive.breathing is not None
     hinges = add_skeleton(
         spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions,
-        build=build, front=add_slide if breathes else None,
+        front=add_slide if breathes else None,
     )  # fmt: skip
     if breathes:
         add_servos(spec)
@@ -138,8 +137,8 @@ def _add_person(
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
-        floor = plate_body(BELLY_FLOOR) if build.belly_floor and region == "abdomen" else None
-        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, floor=floor, build=build)
+        floor = plate_body(BELLY_FLOOR) if region == "abdomen" else None
+        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, floor=floor)
     return hinges, regions
 
 

@@ -9,9 +9,8 @@ from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human.joints import Hinge
-from carecontact.world.human.plates import plate_body, plates
+from carecontact.world.human.plates import PLATES, plate_body
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import BUILDS
 
 CONTACT_SLOTS = 12
 """Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
@@ -20,8 +19,6 @@ more at once."""
 # Bits of mjtConDataField in MuJoCo 4.0, in the order of their values in a slot.
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
-PLATE_SLOTS = 6
-"""The same number for plates that have only one hull each."""
 
 
 def plate_sensor(plate: str) -> str:
@@ -45,17 +42,14 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
             refname=second, intprm=[data, reduce, num], nsample=samples,
         )  # fmt: skip
 
-    def surface(name: str, body: str, slots: int) -> None:
+    def surface(name: str, body: str) -> None:
         contact(f"net_{name}", body, obj.mjOBJ_BODY, FORCE_BIT | POS_BIT, NETFORCE, 1)
-        contact(f"normal_{name}", body, obj.mjOBJ_BODY, FOUND_BIT | FORCE_BIT, MAXFORCE, slots)
+        contact(f"normal_{name}", body, obj.mjOBJ_BODY, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
 
     for segment in SEGMENTS:
-        surface(segment, body_name(segment), CONTACT_SLOTS)
-    build = BUILDS[protocol.person.version]
-    # The abdomen's floor has as many hulls as the bone of a segment, and all plates have equally many slots.
-    slots = CONTACT_SLOTS if build.belly_floor else PLATE_SLOTS
-    for plate in plates(build):
-        surface(plate_sensor(plate.name), plate_body(plate.name), slots)
+        surface(segment, body_name(segment))
+    for plate in PLATES:
+        surface(plate_sensor(plate.name), plate_body(plate.name))
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
                         objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip

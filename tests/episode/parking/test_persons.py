@@ -14,7 +14,7 @@ from carecontact.episode.parking.survey import survey
 from carecontact.protocols import load_protocol
 from carecontact.world.place import place_of
 
-L1, L2, L3 = (load_protocol("bathing-wide-v1", level=name) for name in ("L1", "L2", "L3"))
+L1, L2, L3 = (load_protocol("bathing-wide-v2-draft", level=name) for name in ("L1", "L2", "L3"))
 SEED = 10
 
 

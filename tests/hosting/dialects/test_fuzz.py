@@ -15,7 +15,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import PolicyError
 from carecontact.hosting.client import Client
 from carecontact.hosting.dialects.openpi import OpenpiClient
-from carecontact.hosting.dialects.profiles import card_of, named_profile, told_profile
+from carecontact.hosting.dialects.profiles import named_profile, told_profile
 from carecontact.hosting.dialects.vla_eval import VlaEvalClient
 from carecontact.hosting.wire.connection import Connection
 from carecontact.hosting.wire.packing import pack
@@ -23,7 +23,6 @@ from tests.hosting.dialects.given import actions
 from tests.hosting.dialects.talking import seen
 from tests.hosting.wire import test_fuzz
 from tests.hosting.wire.fuzz import LAYERS, Plain, framed, spoilt, spoilt_transport
-from tests.policies.synthetic import SESSION
 
 FRAMES = {"transport": 40, "msgpack": 80, "schema": 80, "dtype": 80, "shape": 80, "value": 80, "well-formed": 60}
 """Of each dialect in the fast suite; the slow one sends ten times as many."""
@@ -49,7 +48,7 @@ class Peer(test_fuzz.Peer):
     def __init__(self, dialect: str) -> None:
         self.dialect, self.unasked = dialect, dialect != "vla-eval"
         super().__init__(self._client)
-        self.client._session = SESSION
+        self.client._begun = True
 
     def _client(self, connection: Connection) -> Client:
         if self.dialect == "vla-eval":
@@ -63,13 +62,12 @@ class Peer(test_fuzz.Peer):
                 out_of_bounds="clip",
                 arguments=arguments,
             )
-            client._card = client._shows(card)  # pyright: ignore[reportAttributeAccessIssue]
+            client._card = card  # pyright: ignore[reportAttributeAccessIssue]
             return client
         options = {"profile": "pi05-droid"} if self.dialect == "openpi" else {}
         client = OpenpiClient(connection, scheme=self.dialect, options=options)
         profile = named_profile(options) if options else told_profile(CONFIG, {})
         client._profile = profile
-        client._shows(card_of(profile, dialect=self.dialect))
         return client
 
     def replies(self) -> dict[str, Plain]:

@@ -19,22 +19,21 @@ from pathlib import Path
 from carecontact.contract.action import Action
 from carecontact.contract.policy import PolicyCard
 from carecontact.hosting.isolation.fence import CACHES
-from carecontact.hosting.isolation.system_calls import PROCESS_CONNECTOR
 
 SEIZE = 0x4206
 """linux/ptrace.h"""
-PROCESS_VM_READV, PIDFD_GETFD, IO_URING_SETUP = 310, 438, 425
+PROCESS_VM_READV, PIDFD_GETFD = 310, 438
 IN_CREATE = 0x100
 """linux/inotify.h"""
-DN_ACCESS, BEST_EFFORT = 1, 2 << 13 | 4
-"""linux/fcntl.h; linux/ioprio.h, the class and value that processes have."""
+BEST_EFFORT = 2 << 13 | 4
+"""linux/ioprio.h, the class and value that processes have."""
 UNLIMITED = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
 SIZE = ctypes.c_size_t
 
 
 def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[], object]]:
     """``folder`` holds the policy's own folder, with the runs and the kept arrays in it, and a file of the user's
-    outside of it. ``harness``: process id, of the harness itself or of the policy's keeper."""
+    outside of it. ``harness``: process id, as ``Leaks`` takes it."""
     settled = folder / "policy" / "cache" / "settled"
     run = folder / "policy" / "runs" / "now"
     recording, package = run / "T1-s000.h5", Path(sys.modules["carecontact"].__file__ or "").parent
@@ -78,35 +77,22 @@ def tries(folder: Path, socket_name: str, harness: int) -> dict[str, Callable[[]
             f"import resource; resource.prlimit({harness}, resource.RLIMIT_CPU, {UNLIMITED})"
         ),
         "connect to an abstract socket": lambda: _connected(f"\0{socket_name}"),
-        "hold a lease on a file that the harness opens": lambda: _leased(package / "errors.py"),
-        "be told of what is opened in the package": lambda: _notified(package),
-        "learn the names of the run's new files": lambda: _watched(run),
-        "learn the names of settled persons that are used": lambda: _watched(settled),
         "change the harness's priority at the disk": lambda: _disk_priority(harness),
         "processor time of the harness": lambda: time.clock_gettime(~harness << 3 | 2),
         "processor time of all processes, to a nanosecond": lambda: os.listdir("/sys/fs/cgroup"),
         "processor time of all processes": Path("/proc/stat").read_text,
         "load of the machine": Path("/proc/loadavg").read_text,
-        "receive messages about processes that start and end": lambda: socket.socket(
-            socket.AF_NETLINK, socket.SOCK_DGRAM, PROCESS_CONNECTOR
-        ).close(),
-        "a ring, whose operations no filter sees": _ringed,
         "find the run's folder among its options": _named_folders,
     }
 
 
-def _ringed() -> None:
-    """io_uring can make the socket that the filter refuses, without the system call."""
-    ring = ctypes.CDLL(None, use_errno=True).syscall(IO_URING_SETUP, 1, ctypes.create_string_buffer(120))
-    if ring < 0:
-        raise OSError(ctypes.get_errno(), "io_uring_setup")
-    os.close(ring)
-
-
 def stays_open(folder: Path, harness: int) -> dict[str, Callable[[], object]]:
-    """What Landlock cannot close, or not before Linux 7.1."""
-    recording = folder / "policy" / "runs" / "now" / "T1-s000.h5"
+    """What neither Landlock nor namespaces close, or not before Linux 7.1."""
+    run, package = folder / "policy" / "runs" / "now", Path(sys.modules["carecontact"].__file__ or "").parent
+    recording = run / "T1-s000.h5"
     return {
+        "hold a lease on a file that the harness opens": lambda: _leased(package / "errors.py"),
+        "learn the names of the run's new files": lambda: _watched(run),
         "size of a recording whose name it guesses": recording.stat,
         "change the mode of a recording": lambda: recording.chmod(0o644),
         "change the priority of the harness": lambda: os.setpriority(os.PRIO_PROCESS, harness, 0),
@@ -124,8 +110,8 @@ class Leaks:
     card = PolicyCard(name="leaks")
 
     def __init__(self, *, socket_name: str, harness: int) -> None:
-        """``harness``: process id; 0: that of the keeper."""
-        folder, harness = Path(__file__).parents[1], harness or os.getppid()
+        """``harness``: process id; 0: that of the process that watches this one, or of the first in its namespace."""
+        folder, harness = Path(__file__).parents[1], harness or os.getppid() or 1
         self._attempts = {**tries(folder, socket_name, harness), **stays_open(folder, harness)}
 
     def reset(self, instruction: str) -> None:
@@ -212,14 +198,6 @@ def _leased(path: Path) -> None:
     with path.open("rb") as file:
         fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)
         fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_UNLCK)
-
-
-def _notified(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.fcntl(handle, fcntl.F_NOTIFY, DN_ACCESS)
-    finally:
-        os.close(handle)
 
 
 def _disk_priority(pid: int) -> None:

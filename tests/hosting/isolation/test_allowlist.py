@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.hosting.isolation import allowlist
-from carecontact.hosting.isolation.allowlist import SYSTEM, rights, without
+from carecontact.hosting.isolation.allowlist import SYSTEM, Allowed, allowed, own_rights, without
 from carecontact.hosting.isolation.landlock import READ, READ_FILE, WRITE, WRITE_FILE
 
 
@@ -24,10 +24,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def asked(folder: Path, **changed: object) -> dict[str, int]:
+    return asked_for(folder, **changed).rights
+
+
+def asked_for(folder: Path, **changed: object) -> Allowed:
     given: dict[str, object] = {
         "search_path": [str(folder)], "target": "mine:P", "given": [], "readable": [], "writable": [], "closed": [],
     }  # fmt: skip
-    return rights(**{**given, **changed})  # pyright: ignore[reportArgumentType]
+    return allowed(**{**given, **changed})  # pyright: ignore[reportArgumentType]
 
 
 def test_a_folder_without_what_is_closed_in_it(folder: Path) -> None:
@@ -66,8 +70,14 @@ def test_a_policy_reads_its_folder_its_arguments_and_the_interpreter(folder: Pat
         assert found[str(place)] == READ, place
     assert not {"/nowhere", "3", ""} & set(found)
     assert not [path for path in ("/", "/etc", "/home", "/root", "/tmp", "/run", "/proc") if path in found]
-    assert found[f"/proc/{os.getpid()}"] & READ == READ
+    assert own_rights([])[f"/proc/{os.getpid()}"] & READ == READ
     assert found["/dev/null"] & WRITE_FILE
+
+
+def test_places_are_named_as_the_policy_names_them(folder: Path) -> None:
+    """Behind a link as well: where namespaces hide /tmp, it has to lie there again."""
+    found = asked_for(folder, search_path=[str(folder / "up" / "mine")], given=[str(folder / "outside")]).places
+    assert {str(folder / "up" / "mine"), str(folder / "outside")} <= set(found)
 
 
 def test_what_the_user_opens(folder: Path) -> None:
@@ -80,7 +90,8 @@ def test_what_the_user_opens(folder: Path) -> None:
 
 def test_no_place_that_may_be_written_holds_a_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(folder))
-    assert asked(folder)[str(folder)] & WRITE
+    assert own_rights([])[str(folder)] & WRITE
+    assert str(folder) not in own_rights([str(folder / "runs" / "now")])
     assert str(folder) not in asked(folder, closed=[str(folder / "runs" / "now")])
 
 

@@ -19,7 +19,7 @@ from websockets.sync.server import ServerConnection
 from carecontact.contract.action import Action, check_action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
-from carecontact.errors import ContractError, PolicyError
+from carecontact.errors import ActionError, ContractError, PolicyError
 from carecontact.hosting.wire import client, server
 from carecontact.hosting.wire.client import PolicyClient
 from carecontact.hosting.wire.connection import Connection
@@ -77,15 +77,8 @@ POSE = synthetic_observation().pose_tcp_in_base
     ("answer", "says"),
     [
         ("left", "expected an Action or a list of Actions, got str 'left'"),
-        (Action(pose_tcp_in_base=POSE + np.inf), "expected finite numbers"),
-        (
-            Action(pose_tcp_in_base=POSE + 9),
-            r"^actions\[0\].pose_tcp_in_base: expected a position inside the workspace",
-        ),
-        (Action(pose_tcp_in_base=np.zeros(6)), r"got shape \(6,\)"),
-        (Action(pose_tcp_in_base=np.zeros(7)), "expected a quaternion of norm 1, got 0"),
-        (Action(stiffness=(5000, 20)), "expected 100 to 1000 N/m, got 5000"),
-        (Action(stiffness=(np.nan, 20)), "N/m, got nan"),
+        (Action(done=1), r"^actions\[0\]\.done: expected True or False, got int 1"),
+        ([Action(), Action(stiffness=(5000,))], r"^actions\[1\]\.stiffness: expected \(translational, rotational\)"),
     ],
 )
 def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> None:
@@ -94,17 +87,10 @@ def test_an_answer_that_is_no_action(meet: Meet, answer: object, says: str) -> N
     assert caught.value.kind == "action"
 
 
-def test_a_card_that_clips_lets_positions_through_and_nothing_else(meet: Meet) -> None:
-    class Clips(Answers):
-        card = PolicyCard(name="clips", out_of_bounds="clip")
-
-    outside = POSE + [9, 0, 0, 0, 0, 0, 0]
-    one = meet(Clips(Action(pose_tcp_in_base=outside)))
-    (action,) = one.act(synthetic_observation(), deadline_s=20).actions
-    np.testing.assert_array_equal(action.pose_tcp_in_base, outside)
-    twisted = meet(Clips(Action(pose_tcp_in_base=outside * [1, 1, 1, 2, 2, 2, 2])))
-    with pytest.raises(PolicyError, match=r"actions\[0\]\.pose_tcp_in_base: expected a quaternion of norm 1"):
-        twisted.act(synthetic_observation(), deadline_s=20)
+def test_values_are_left_to_the_episode(meet: Meet) -> None:
+    far = POSE + [9, 0, 0, 0, 0, 0, np.nan]
+    (action,) = meet(Answers(Action(pose_tcp_in_base=far))).act(synthetic_observation(), deadline_s=20).actions
+    np.testing.assert_array_equal(action.pose_tcp_in_base, far)
 
 
 @pytest.mark.parametrize(
@@ -207,7 +193,10 @@ def test_spoilt_frames_over_the_real_line(meet: Meet, monkeypatch: pytest.Monkey
                 assert answer.kind not in ("timeout", "start")
                 assert str(answer)
             else:
-                assert all(check_action(action, BOUNDS) for action in answer)
+                try:
+                    assert all(check_action(action, BOUNDS) for action in answer)
+                except ActionError:
+                    refused += 1
     assert refused >= SAMPLE // 2
 
 
@@ -220,7 +209,7 @@ def _answer_of(one: PolicyClient) -> list[Action] | PolicyError:
 
 def test_act_before_reset_is_the_harness_s_mistake(meet: Meet) -> None:
     one = meet(Answers(Action()))
-    one._session = None
+    one._begun = False
     with pytest.raises(ContractError, match="expected reset before it"):
         one.act(synthetic_observation(), deadline_s=20)
 

@@ -13,7 +13,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 from websockets.client import ClientProtocol
 from websockets.protocol import State
@@ -26,11 +25,11 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.errors import ContractError, PolicyError
 from carecontact.hosting.client import Client
 from carecontact.hosting.wire.client import PolicyClient
-from carecontact.hosting.wire.connection import Connection
+from carecontact.hosting.wire.connection import Connection, Deadline
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES, pack
 from carecontact.hosting.wire.server import _answer
 from tests.hosting.wire.fuzz import LAYERS, Plain, framed, replies, requests, spoilt, spoilt_transport
-from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation
+from tests.policies.synthetic import SESSION, synthetic_observation
 
 FRAMES = {"transport": 1200, "msgpack": 1800, "schema": 1800, "dtype": 1800, "shape": 1700, "value": 1700}
 WELL_FORMED = 1000
@@ -64,8 +63,9 @@ class Peer:
         # The handshake is over: what arrives now are frames.
         self.connection.response = object()  # pyright: ignore[reportAttributeAccessIssue]
         self.connection.pending_legacy_warning = False
-        self.client = make(Connection(self.connection))
-        self.client._session = SESSION
+        self._deadline = Deadline(ours)
+        self.client = make(Connection(self.connection, self._deadline))
+        self.client._begun = True
 
     def hear(self, kind: str, wire: bytes, *, last: bool) -> Heard:
         """What the harness makes of raw bytes that answer a request of that kind; the card comes unasked."""
@@ -105,6 +105,7 @@ class Peer:
 
     def close(self) -> None:
         self.theirs.close()
+        self._deadline.end()
         self.connection.close_socket()
         self.connection.recv_events_thread.join(5)
         assert not self.connection.recv_events_thread.is_alive()
@@ -120,30 +121,16 @@ class Silent:
 
 
 def harmless(heard: Heard) -> bool:
-    """Whether what got through is something that a well-behaved policy could have said."""
+    """Whether what got through has the types that the wire promises; ``Episode.step`` checks the values."""
     if not isinstance(heard, list):
         return heard is None or isinstance(heard, PolicyCard)
-    low, high = np.array(BOUNDS.workspace_low_m), np.array(BOUNDS.workspace_high_m)
-    for action in heard:
-        pose = action.pose_tcp_in_base
-        if pose is not None and not (
-            pose.shape == (7,)
-            and pose.dtype == np.float64
-            and (low <= pose[:3]).all()
-            and (pose[:3] <= high).all()
-            and abs(np.linalg.norm(pose[3:]) - 1) < 1e-9
-        ):
-            return False
-        limits = (BOUNDS.translational_stiffness, BOUNDS.rotational_stiffness)
-        if action.stiffness is not None and not all(
-            a <= k <= b for k, (a, b) in zip(action.stiffness, limits, strict=True)
-        ):
-            return False
-        if action.gripper is not None and not 0 <= action.gripper <= 1:
-            return False
-        if type(action.done) is not bool:
-            return False
-    return 1 <= len(heard) <= MAX_CHUNK
+    return 1 <= len(heard) <= MAX_CHUNK and all(
+        (action.pose_tcp_in_base is None or action.pose_tcp_in_base.dtype.kind in "fiu")
+        and (action.stiffness is None or [type(k) for k in action.stiffness] in ([float] * 2, [float] * 6))
+        and (action.gripper is None or type(action.gripper) is float)
+        and type(action.done) is bool
+        for action in heard
+    )
 
 
 def asks(frame: bytes) -> bool:

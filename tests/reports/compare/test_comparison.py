@@ -240,13 +240,13 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"protocol_sha256": "1" * 64}, "A ran bathing-v2"),
+        ({"protocol_sha256": "1" * 64}, "A ran bathing-v3-draft"),
         (
             {"protocol_sha256": "2" * 64, "overrides": {"person.body": "woman-old-light"}},
-            r"B ran bathing-v2 with body woman-old-light \(2{12}\): only runs of the same protocol",
+            r"B ran bathing-v3-draft with body woman-old-light \(2{12}\): only runs of the same protocol",
         ),
         ({"overrides": {"physics.dt_s": "0.004"}}, "with time step 0.004 s"),
-        ({"metric_versions": {"contact": "contact-v2", "gates": "gates-v1"}}, "contact contact-v1 and contact-v2"),
+        ({"metric_versions": {"contact": "contact-v2", "gates": "paper"}}, "contact contact-v1 and contact-v2"),
         ({"world": {"mujoco": "4.1.0", "body": "ab" * 32}}, r"mujoco 4.0.0 \(T1-s000 of A\) and 4.1.0 \(T"),
         ({"seed": 3}, "A has T1 with seeds 0; B has T1 with seeds 3; run the same seeds"),
         ({"task_id": "T4"}, "no trial .* in common: A has T1 .*; B has T4"),

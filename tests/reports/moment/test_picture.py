@@ -15,6 +15,7 @@ from carecontact.reports.moment.picture import EARLIER_WIDTH, WIDTH, peak_svg
 from carecontact.reports.moment.place import place_notes, place_text
 from tests.reports.synthetic_run import make_recording
 from tests.reports.synthetic_trial import CONTACT, FORCE_N, whole_trial
+from tests.scoring.synthetic import writable
 
 
 def moment_of(**changes: bool) -> Moment:
@@ -26,7 +27,7 @@ def moment_of(**changes: bool) -> Moment:
 def of_the_mitt() -> Recording:
     """Of a robot whose tool's tip is known."""
     recording = whole_trial()
-    return replace(recording, header=recording.header.model_copy(update={"embodiment": "panda-mitt"}))
+    return writable(replace(recording, header=recording.header.model_copy(update={"embodiment": "panda-mitt"})))
 
 
 def test_where_and_how_hard_and_how_deep() -> None:

@@ -83,7 +83,7 @@ def test_the_outline_leaves_out_cells_on_the_far_side() -> None:
         seen.append(points)
         return points[:, :2]
 
-    region_outline(replace(recording, arrays=arrays), moment.index, project, CONTACT + [0.0, 0.0, 9.0])
+    region_outline(Recording.trusted(recording.header, arrays), moment.index, project, CONTACT + [0.0, 0.0, 9.0])
     (shown,) = seen
     assert len(shown) == 22
     assert (shown[:, 2] > MIDDLE[2]).all()

@@ -514,11 +514,6 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
     assert "Draft protocol" in said
     assert "Draft protocol" not in caveats(run_of_7.scores, [frozen])
-    assert "Earlier tissue" not in said
-    tissue = {name: row.model_copy(update={"contact_n_m3": None}) for name, row in protocol.person.tissue.items()}
-    rules = protocol.model_copy(update={"person": protocol.person.model_copy(update={"tissue": tissue})})
-    earlier = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": rules})})
-    assert "earlier model of the soft tissue" in caveats(run_of_7.scores, [earlier])["Earlier tissue"]
     assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 
@@ -529,13 +524,13 @@ def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has
         spec = header.spec.model_copy(update={"protocol": protocol})
         return caveats([make_score("T1", 0)], [header.model_copy(update={"spec": spec})])
 
-    wide = of(load_protocol("bathing-wide-v1", level="L3"))
+    wide = of(load_protocol("bathing-wide-v2-draft", level="L3"))
     assert wide["A person who moves"].startswith("The person breathes, changes its posture, withdraws the arm")
     for drawn in ("the body", "the turn of shoulder and palm", "the place of the overhead camera"):
         assert drawn in wide["What seeds change"]
     assert wide["What seeds change"].startswith("Seeds differ in the angle of the person's arm")
     assert " changes and " not in wide["What seeds change"]
-    assert "A person who moves" not in of(load_protocol("bathing-v2"))
+    assert "A person who moves" not in of(load_protocol("bathing-v3-draft"))
 
 
 def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -> None:
@@ -543,7 +538,7 @@ def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -
         kept = {"caveats": {f"T1-s{n:03}": text for n, text in enumerate(reached)}}
         return caveats(run_of_7.scores, [], kept=kept).get("Isolation")
 
-    assert said("full", "full") is None
+    assert said("full: namespaces and Landlock", "full") is None
     none = said("full", "none: this system has no Landlock") or ""
     assert "not fully isolated from the benchmark (none: this system has no Landlock)" in none
     opened = said("full; --policy-read /data") or ""
@@ -568,7 +563,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     rows = dict(provenance_rows(run_of_42.scores, headers))
     assert rows["sha256 of model"].startswith("6 different values")
     assert rows["sha256 of body"] == "ab" * 32
-    assert rows["Protocol state"].startswith("not the frozen bathing-v2: sha256 ")
+    assert rows["Protocol state"] == "draft"
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
     assert "Policy arguments" not in rows
     given = {"name": "x", "arguments": {"steps": "3", "mode": "a"}, "environment": ["TOKEN"]}

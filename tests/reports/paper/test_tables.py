@@ -25,10 +25,7 @@ from tests.scoring.paper_run import METHODS
 
 @pytest.fixture(scope="module")
 def runs() -> list[RunScores]:
-    return [
-        RunScores(scores=[score_recording(recording, sha256="00" * 32) for recording in make()])
-        for make in METHODS.values()
-    ]
+    return [RunScores(scores=[score_recording(recording) for recording in make()]) for make in METHODS.values()]
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +148,7 @@ def test_the_csv_of_rates_has_one_number_in_each_column(tables: dict[str, Table]
 
 def wide_runs(seeds: int) -> list[RunScores]:
     """T1 alone on a level with persons that the seed draws."""
-    level = load_protocol("bathing-wide-v1", level="L2")
+    level = load_protocol("bathing-wide-v2-draft", level="L2")
     of_level = {"protocol_id": level.name, "protocol_sha256": level.sha256}
     return [
         RunScores(scores=[make_score("T1", seed, policy=policy).model_copy(update=of_level) for seed in range(seeds)])
@@ -160,7 +157,7 @@ def wide_runs(seeds: int) -> list[RunScores]:
 
 
 def test_the_protocol_table_counts_what_ran() -> None:
-    runs, level = wide_runs(3), load_protocol("bathing-wide-v1", level="L2")
+    runs, level = wide_runs(3), load_protocol("bathing-wide-v2-draft", level="L2")
     tables = {table.name: table for table in tables_of(runs, level)}
     ours = {row[0]: row[1] for row in tables["protocol"].rows}
     planned = len(level.randomization.seeds)
@@ -168,7 +165,7 @@ def test_the_protocol_table_counts_what_ran() -> None:
     assert ours["Tasks"] == "1 of 7 planned"
     assert ours["Runs a method"] == f"3 of {7 * planned} planned"
     assert ours["Person"] == "9 bodies, drawn by the seed"
-    assert "gates-v2: touch least 1 N, most 6 N" in ours["Success gates"]
+    assert "exam: touch least 1 N, most 6 N" in ours["Success gates"]
     names = {row[0]: row[1] for row in tables["tasks"].rows}
     assert names["T1"] == "Touch forearm"
     assert [task for task, name in names.items() if name.endswith("(not run)")] == ["T2", "T3", "T4", "T5", "T6", "T7"]
@@ -188,10 +185,10 @@ def test_the_protocol_table_has_every_item_of_the_paper(tables: dict[str, Table]
 
 @pytest.mark.parametrize("known", [True, False])
 def test_values_of_the_paper_beside_runs_of_other_rules_have_a_note(known: bool, tables: dict[str, Table]) -> None:
-    level = load_protocol("bathing-wide-v1", level="L2") if known else None
+    level = load_protocol("bathing-wide-v2-draft", level="L2") if known else None
     found = {table.name: table for table in tables_of(wide_runs(6), level)}
     for name in ("rates", "scores", "tests", "anatomy"):
-        assert "These runs are of bathing-wide-v1 L2" in found[name].markdown()
+        assert "These runs are of bathing-wide-v2-draft L2" in found[name].markdown()
         assert "These runs are of" not in tables[name].markdown()
     if known:
         assert "in gates, the person, what the seed draws" in found["rates"].notes[-1]

@@ -225,7 +225,7 @@ def test_the_page_says_what_decided_its_numbers_and_where_each_run_is() -> None:
     assert first.protocol_sha256[:12] in rows["protocols, with their hashes"]
     assert (rows["plan"], rows["tasks"], rows["seeds"]) == ("plan", "T1", "0")
     assert rows["recordings"].startswith("4 trials; ")
-    assert "gates gates-v1" in rows["definitions of the scores"]
+    assert "gates paper" in rows["definitions of the scores"]
     page, text = sweep_page._page(table), as_markdown(table)  # pyright: ignore[reportPrivateUsage]
     for what, value in rows.items():
         assert f"| {what} | {value} |" in text

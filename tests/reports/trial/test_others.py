@@ -14,7 +14,7 @@ from tests.reports.strict_html import StrictReader
 from tests.reports.synthetic_run import NO_CONTACT, make_score
 from tests.reports.synthetic_trial import whole_trial
 
-KEPT = Path(__file__).parents[3] / "docs" / "results" / "bathing-v2"
+KEPT = Path(__file__).parents[3] / "docs" / "results" / "bathing-v3-draft"
 
 
 def test_only_the_same_task_and_seed_stands_beside_with_a_link_to_its_page(tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_the_page_shows_it_or_says_how_to_get_it(tmp_path: Path) -> None:
     assert words.endswith("replay blind baseline failed NA no target contact")
     assert StrictReader(text).faults == []
     alone = write_trial_page(tmp_path, recording, score).read_text()
-    assert "carecontact run --policy replay --protocol bathing-v2 --tasks T1 --seeds 0 --out " in alone
+    assert "carecontact run --policy replay --protocol bathing-v3-draft --tasks T1 --seeds 0 --out " in alone
     assert f"carecontact report {tmp_path} --trials --baseline {tmp_path}-replay</pre>" in alone
     assert StrictReader(alone).faults == []
     assert how_to_compare(make_score("T1", 0, policy="replay"), tmp_path) == ()

@@ -11,7 +11,7 @@ from carecontact.runs.sweep.cells import places_of
 from carecontact.runs.sweep.factors import factor_protocols
 from carecontact.runs.sweep.plan import read_plan
 
-LOW = load_protocol("bathing-v2")
+LOW = load_protocol("bathing-v3-draft")
 HIGH = overridden(
     LOW,
     {"variation.place_along_m": 0.03, "variation.place_yaw_deg": 4.0, "variation.light": "varied-v1",
@@ -68,10 +68,10 @@ def planned(tmp_path: Path, text: str) -> Path:
 def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
     moved = tmp_path / "moved.toml"
     moved.write_text(
-        'base = "bathing-v2"\nid = "moved"\ndescription = "lies elsewhere"\nfrozen = false\n'
+        'base = "bathing-v3-draft"\nid = "moved"\ndescription = "lies elsewhere"\nfrozen = false\n'
         "[variation]\nplace_along_m = 0.036\nplace_across_m = 0.027\nplace_yaw_deg = 4.5\n"
     )
-    levels = f'[factors]\nlow = "bathing-v2"\nhigh = "{moved}"\n'
+    levels = f'[factors]\nlow = "bathing-v3-draft"\nhigh = "{moved}"\n'
     fields = ", ".join(f'"variation.place_{name}"' for name in ("along_m", "across_m", "yaw_deg"))
     text = f"{levels}[factors.groups]\nplace = [{fields}]\n[axes]\nstiffness = [200, 400]\n"
     plan = read_plan(planned(tmp_path, text))
@@ -87,10 +87,10 @@ def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
     ("text", "told"),
     [
         (
-            '[factors]\nlow = "bathing-v2"\nhigh = "x"\n[axes]\nprotocol = ["bathing-v2"]\n',
+            '[factors]\nlow = "bathing-v3-draft"\nhigh = "x"\n[axes]\nprotocol = ["bathing-v3-draft"]\n',
             "factors: they stand in place of axes.protocol; give only one",
         ),
-        ('[factors]\nlow = "bathing-v2"\nhigh = "bathing-moved"\n', "plan p: factors: .*bathing-moved"),
+        ('[factors]\nlow = "bathing-v3-draft"\nhigh = "bathing-moved"\n', "plan p: factors: .*bathing-moved"),
     ],
 )
 def test_wrong_factors_are_told(tmp_path: Path, text: str, told: str) -> None:

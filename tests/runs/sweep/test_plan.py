@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from carecontact.errors import ConfigError
-from carecontact.policies.registry import POLICIES
-from carecontact.protocols import load_levels
+from carecontact.policies.registry import role_of
+from carecontact.protocols import load_levels, shipped_protocols
 from carecontact.runs.sweep.cells import Cell, cells_of, places_of
 from carecontact.runs.sweep.plan import read_plan
 
@@ -25,7 +25,7 @@ label = "again"
 jobs = 2
 
 [axes]
-protocol = ["bathing-v2", "bathing-droid-draft"]
+protocol = ["bathing-v3-draft", "bathing-droid-draft"]
 body = ["man-adult", "woman-old-light"]
 tissue = ["human-published", "manikin-like"]
 friction = [0.2, 0.5]
@@ -62,9 +62,9 @@ def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path
         frictions = {row.friction for row in cell.place.protocol.person.tissue.values()}
         assert frictions == {float(cell.place.values["friction"])}, "a tissue set has frictions of its own"
     assert (rules.impedance.translational_n_m, rules.phases.time_limit_s) == (400, 2)
-    assert first.name.startswith("hover_bathing-v2_man-adult_human-published_0.2_200_0.5_")
+    assert first.name.startswith("hover_bathing-v3-draft_man-adult_human-published_0.2_200_0.5_")
     assert {spec.policy for spec in last.specs} == {"replay"}
-    wanted = list(product(("bathing-v2", "bathing-droid-draft"), ("man-adult", "woman-old-light")))
+    wanted = list(product(("bathing-v3-draft", "bathing-droid-draft"), ("man-adult", "woman-old-light")))
     assert list(dict.fromkeys(tuple(cell.place.values.values())[:2] for cell in cells)) == wanted
 
 
@@ -83,13 +83,13 @@ def test_the_ensemble_is_of_24_people() -> None:
     assert {place.protocol.variation.tissue for place in places} == {"published-v1"}
 
 
-def test_the_results_are_of_every_shipped_policy_at_every_level() -> None:
+def test_the_results_are_of_methods_ceiling_and_blind_policies_on_every_draft() -> None:
     plan = read_plan(Path(__file__).parents[3] / "examples" / "cluster" / "results.toml")
-    shipped = [name for name in POLICIES if POLICIES.package(name) is None]
-    assert {each.policy for each in plan.policies} == set(shipped)
+    assert {role_of(each.policy) for each in plan.policies} == {"method", "privileged", "blind"}
     places = places_of(plan, named="results.toml")
-    assert [place.values["level"] for place in places] == list(load_levels("bathing-wide-v1"))
-    assert {(len(place.tasks), place.seeds) for place in places} == {(7, tuple(range(1000, 1027)))}
+    every = {rules.title for name in shipped_protocols() for rules in load_levels(name).values()}
+    assert {place.protocol.title for place in places} == every
+    assert {(len(place.tasks), place.seeds) for place in places} == {(7, tuple(range(9)))}
 
 
 def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
@@ -120,15 +120,19 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
         ('"manikin-like"', '"manikin"', r"axes\.tissue: no tissue set named 'manikin'"),
         (
             '"bathing-droid-draft"',
-            '"bathing-wide-v1"',
+            '"bathing-wide-v2-draft"',
             r"has the levels L0, L1, L2, L3; name levels in axes\.level, or",
         ),
-        ("body =", 'level = ["L1"]\nbody =', r"axes\.level: bathing-v2 has no levels, and so no L1; name levels in"),
-        ('"bathing-droid-draft"', '"bathing-wide-v1 L9"', r"no level named 'L9'"),
+        (
+            "body =",
+            'level = ["L1"]\nbody =',
+            r"axes\.level: bathing-v3-draft has no levels, and so no L1; name levels in",
+        ),
+        ('"bathing-droid-draft"', '"bathing-wide-v2-draft L9"', r"no level named 'L9'"),
         ('"bathing-droid-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
         ("phases.time_limit_s", "phases.limit", r"set: phases\.limit: no field 'limit' in phases"),
-        ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-v2"),
-        ('seeds = "0-1"', 'seeds = "0-99"', r"seeds: '0-99' contains seeds that bathing-v2 does not have"),
+        ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-v3-draft"),
+        ('seeds = "0-1"', 'seeds = "0-99"', r"seeds: '0-99' contains seeds that bathing-v3-draft does not have"),
         ('seeds = "0-1"', 'seed = "0-1"', r"seed: no such field in the file \(did you mean 'seeds'\?\)"),
         ("jobs = 2", "jobs = 0", r"policies\.2\.jobs: expected at least 1"),
         ("jobs = 2", "joobs = 2", r"policies\.2\.joobs: no such field in .* \(did you mean 'jobs'\?\); valid: policy"),

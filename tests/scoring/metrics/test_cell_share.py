@@ -28,9 +28,9 @@ def felt(share: float, segment: str = "right_forearm") -> Recording:
     return replace(made, arrays=made.arrays | {"scorer/normal_force": normal})
 
 
-def values(recording: Recording, version: int) -> dict[str, float | None]:
+def values(recording: Recording) -> dict[str, float | None]:
     contact = find_contact(recording)
-    return {name: METRICS[f"{name}@{version}"].compute(contact) for name in OF_CELLS}
+    return {name: METRICS[f"{name}@2"].compute(contact) for name in OF_CELLS}
 
 
 @pytest.mark.parametrize("segment", ["right_forearm", "abdomen"])
@@ -41,16 +41,14 @@ def test_the_share_is_that_of_the_force_on_all_segments(share: float, segment: s
 
 
 def test_a_press_beside_the_cells_is_no_comfortable_wipe() -> None:
-    """Of the first versions, a light brush of the cells beside a hard press makes a comfortable wipe."""
-    beside = felt(0.02)
-    assert values(beside, 1)["comfortable"] == 1.0
-    assert values(beside, 2) == dict.fromkeys(OF_CELLS)
+    """It is a light brush of the cells beside a hard press."""
+    assert values(felt(1.0))["comfortable"] == 1.0
+    assert values(felt(0.02)) == dict.fromkeys(OF_CELLS)
 
 
-def test_where_the_cells_felt_most_of_the_force_both_versions_agree() -> None:
-    for share in (0.6, 1.0):
-        assert values(felt(share), 2) == values(felt(share), 1)
-        assert None not in values(felt(share), 2).values()
+def test_where_the_cells_felt_most_of_the_force_the_rest_does_not_count() -> None:
+    assert values(felt(0.6)) == values(felt(1.0))
+    assert None not in values(felt(0.6)).values()
 
 
 def test_without_cells_or_force_there_is_no_share() -> None:

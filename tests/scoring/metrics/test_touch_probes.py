@@ -138,12 +138,12 @@ WIDTHS = (0.015, 0.0225, 0.030, 0.0375, WIDE_M)
 FAMILIES = {
     "coverage@1": Family(levels=WIDTHS[:4], level=wiped),
     "effective_wiping@1": Family(levels=WIDTHS[:4], level=cleaned),
-    "pressure_mean@1": Family(levels=(2.0, 5.0, 8.0, 12.0, 16.0), level=mean_pressed),
-    "pressure_peak@1": Family(levels=(8.0, 12.0, 16.0, 24.0, 32.0), level=peak_pressed),
-    "pressure_utilisation@1": Family(levels=(8.0, 12.0, 16.0, 24.0, 32.0), level=utilised),
-    "exposure_uncomfortable@1": Family(levels=(1, 2, 3, 4, 5), level=above(25.0)),
-    "exposure_fragile@1": Family(levels=(1, 2, 3, 4, 5), level=above(14.0)),
-    "shear_dose@1": Family(levels=(0.2, 0.4, 0.6, 0.8, 1.0), level=sheared),
+    "pressure_mean@2": Family(levels=(2.0, 5.0, 8.0, 12.0, 16.0), level=mean_pressed),
+    "pressure_peak@2": Family(levels=(8.0, 12.0, 16.0, 24.0, 32.0), level=peak_pressed),
+    "pressure_utilisation@2": Family(levels=(8.0, 12.0, 16.0, 24.0, 32.0), level=utilised),
+    "exposure_uncomfortable@2": Family(levels=(1, 2, 3, 4, 5), level=above(25.0)),
+    "exposure_fragile@2": Family(levels=(1, 2, 3, 4, 5), level=above(14.0)),
+    "shear_dose@2": Family(levels=(0.2, 0.4, 0.6, 0.8, 1.0), level=sheared),
     "knock_impulse@1": Family(levels=(30.0, 50.0, 80.0, 120.0, 180.0), level=knocked),
     "knock_energy@1": Family(levels=(8.0, 10.0, 13.0, 17.0, 22.0), level=landed),
     "C2@2": Family(levels=(0.2, 0.4, 0.6, 0.8, 1.05), level=turned),
@@ -220,37 +220,37 @@ SPECIAL: dict[str, dict[str, Compute]] = {
         "three passes at any pressure": of_cells(lambda t: (t.share_passed(3) * t.area_m2).sum() / AREA_M2),
         "three passes at 15 mmHg": of_cells(lambda t: (t.share_passed(3, 15 * MMHG_PA) * t.area_m2).sum() / AREA_M2),
     },
-    "pressure_mean@1": {
+    "pressure_mean@2": {
         "mean over cells, touched or not": of_cells(lambda t: t.pressure_pa.mean() / 1000),
         "force over the whole region": of_cells(
             lambda t: t.press_ns.sum() / (t.period_s.sum() * t.area_m2.sum()) / 1000
         ),
-        "pascals": scaled("pressure_mean@1", 1000.0),
+        "pascals": scaled("pressure_mean@2", 1000.0),
     },
-    "pressure_peak@1": {
+    "pressure_peak@2": {
         "99th percentile": of_cells(lambda t: np.percentile(t.pressure_pa, 99) / 1000),
         "over whole cells": of_cells(lambda t: (t.press_ns.sum(axis=1) / t.area_m2.sum() / t.period_s).max() / 1000),
-        "mmHg": scaled("pressure_peak@1", 1000 / MMHG_PA),
+        "mmHg": scaled("pressure_peak@2", 1000 / MMHG_PA),
     },
-    "pressure_utilisation@1": {
-        "of the upper arm's limit": scaled("pressure_utilisation@1", 1800 / 1900),
-        "of the strictest limit": scaled("pressure_utilisation@1", 1800 / 1200),
-        "of the mean pressure": lambda c: (right("pressure_mean@1")(c) or 0.0) / 1800,
-        "of what is comfortable": lambda c: (right("pressure_peak@1")(c) or 0.0) * 1000 / (25 * MMHG_PA),
+    "pressure_utilisation@2": {
+        "of the upper arm's limit": scaled("pressure_utilisation@2", 1800 / 1900),
+        "of the strictest limit": scaled("pressure_utilisation@2", 1800 / 1200),
+        "of the mean pressure": lambda c: (right("pressure_mean@2")(c) or 0.0) / 1800,
+        "of what is comfortable": lambda c: (right("pressure_peak@2")(c) or 0.0) * 1000 / (25 * MMHG_PA),
     },
-    "exposure_uncomfortable@1": {
+    "exposure_uncomfortable@2": {
         "cells times time": of_cells(lambda t: ((t.pressure_pa > 25 * MMHG_PA) * t.period_s[:, None]).sum()),
         "share of the time": of_cells(lambda t: t.time_above(25 * MMHG_PA) / t.period_s.sum()),
     },
-    "exposure_fragile@1": {
+    "exposure_fragile@2": {
         "cells times time": of_cells(lambda t: ((t.pressure_pa > 14 * MMHG_PA) * t.period_s[:, None]).sum()),
         "any touch": of_cells(lambda t: t.time_above(0.0)),
     },
-    "shear_dose@1": {
+    "shear_dose@2": {
         "impulse of the normal force": of_cells(lambda t: t.press_ns.sum()),
         "work": of_cells(lambda t: (t.shear_ns * 0.1).sum()),
         "largest cell": of_cells(lambda t: t.shear_ns.sum(axis=0).max()),
-        "kilonewton seconds": scaled("shear_dose@1", 1e-3),
+        "kilonewton seconds": scaled("shear_dose@2", 1e-3),
     },
     "knock_impulse@1": {
         "first 50 ms": lambda c: float(c.force_norm[(c.time_s > 1.0) & (c.time_s <= 1.05)].sum() * DT),

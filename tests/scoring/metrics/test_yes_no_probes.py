@@ -57,8 +57,8 @@ def comfortable(limit: float) -> list[Case]:
 
 CASES: dict[str, Callable[[], list[Case]]] = {
     "effective@1": effective,
-    "comfortable@1": lambda: comfortable(25.0),
-    "comfortable_fragile@1": lambda: comfortable(14.0),
+    "comfortable@2": lambda: comfortable(25.0),
+    "comfortable_fragile@2": lambda: comfortable(14.0),
 }
 OTHER_LINES = {
     "effective@1": [
@@ -67,17 +67,17 @@ OTHER_LINES = {
         (wiping, "EFFECTIVE", ((4, 10 * MMHG_PA),)), (wiping, "EFFECTIVE", ((3, 5 * MMHG_PA),)),
         (wiping, "EFFECTIVE", ((3, 20 * MMHG_PA),)), (wiping, "EFFECTIVE", wiping.CLEANS),
     ],
-    "comfortable@1": [
+    "comfortable@2": [
         (pressure, "MOST_OF_TIME", 0.99), (pressure, "MOST_OF_TIME", 0.9), (pressure, "MOST_OF_TIME", 0.97),
         (pressure, "MOST_OF_TIME", 0.5), (pressure, "COMFORT_MMHG", 20.0), (pressure, "COMFORT_MMHG", 35.0),
         (pressure, "COMFORT_MMHG", 14.0),
     ],
-    "comfortable_fragile@1": [
+    "comfortable_fragile@2": [
         (pressure, "MOST_OF_TIME", 0.99), (pressure, "MOST_OF_TIME", 0.9), (pressure, "FRAGILE_MMHG", 10.0),
         (pressure, "FRAGILE_MMHG", 25.0),
     ],
 }  # fmt: skip
-IN_ITS_PLACE = ("coverage@1", "effective_wiping@1", "pressure_mean@1", "exposure_uncomfortable@1", "exposure_fragile@1")
+IN_ITS_PLACE = ("coverage@1", "effective_wiping@1", "pressure_mean@2", "exposure_uncomfortable@2", "exposure_fragile@2")
 
 
 def said(metric: str, cases: list[Case]) -> list[float | None]:

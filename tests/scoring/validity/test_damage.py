@@ -76,8 +76,8 @@ def put(*keys: str, value: object) -> Callable[[dict[str, Any]], None]:
 
 
 HEADERS: dict[str, Callable[[dict[str, Any]], object]] = {
-    "schema of the future": put("schema_version", value="carecontact-recording-4"),
-    "schema is a list": put("schema_version", value=["carecontact-recording-1"]),
+    "schema of the future": put("schema_version", value="carecontact-recording-5"),
+    "schema is a list": put("schema_version", value=["carecontact-recording-4"]),
     "no schema": lambda h: h.pop("schema_version"),
     "no spec": lambda h: h.pop("spec"),
     "more than there should be": put("more", value=1),

@@ -28,16 +28,8 @@ def test_joint_actions_are_scored_from_the_pose_of_their_targets() -> None:
     np.testing.assert_allclose(target_poses(made)[0], made["scorer/target_in_base"][0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "says"),
-    [
-        ("actions/joint", [1, np.nan, 0, 0, 0, 0, 0], "actions/joint holds"),
-        ("actions/pose_tcp_in_base", 0.1, "actions in joint space have neither a pose nor a stiffness"),
-        ("actions/stiffness", 400.0, "actions in joint space have neither a pose nor a stiffness"),
-    ],
-)
-def test_what_no_joint_policy_can_have_sent_is_refused(path: str, value: object, says: str) -> None:
+def test_half_a_joint_action_is_refused() -> None:
     made = in_joints()
-    made[path][0] = value
-    with pytest.raises(RecordingError, match=says):
+    made["actions/joint"][0] = [1, np.nan, 0, 0, 0, 0, 0]
+    with pytest.raises(RecordingError, match=r"actions/joint holds nan at \(0, 1\)"):
         score_recording(made)

@@ -123,13 +123,10 @@ WRONG: dict[str, tuple[Change, str]] = {
         ),
         r"policy/observation_time_s holds 3.1 s at 1, outside the trial: 0 to 3.002 s",
     ),
-    "stiffness below zero": (put("actions/stiffness", (1, 0), -1.0), r"stiffness holds \[-1.0, 20.0\] at 1; valid"),
-    "stiffness infinite": (put("actions/stiffness", (0, 1), np.inf), r"stiffness holds \[400.0, inf\] at 0"),
-    "stiffness beyond all arms": (put("actions/stiffness", (0, 0), 1e308), r"stiffness holds \[1e\+308, 20.0\] at 0"),
-    "stiffness is no number": (put("actions/stiffness", (0, 1), np.nan), r"stiffness holds \[400.0, nan\] at 0"),
-    "an infinite action": (put("actions/pose_tcp_in_base", (1, 0), np.inf), r"pose_tcp_in_base holds \[inf, .* at 1"),
-    "half an action": (put("actions/pose_tcp_in_base", (1, 3), np.nan), r"NaN in all seven where the last target"),
-    "an action in mm": (put("actions/pose_tcp_in_base", (1, 0), 520.0), r"positions of at most 5 m"),
+    "stiffness infinite": (put("actions/stiffness", (0, 1), np.inf), r"actions/stiffness holds inf at \(0, 1\)"),
+    "stiffness is no number": (put("actions/stiffness", 0, np.nan), r"actions/stiffness holds nan at \(0, 0\)"),
+    "an infinite action": (put("actions/pose_tcp_in_base", (1, 0), np.inf), r"pose_tcp_in_base holds inf at \(1, 0\)"),
+    "half an action": (put("actions/pose_tcp_in_base", (1, 3), np.nan), r"pose_tcp_in_base holds nan at \(1, 3\)"),
 }
 
 

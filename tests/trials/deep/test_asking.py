@@ -47,7 +47,7 @@ def asking(*conversations: Conversation) -> tuple[Asking, list[Any], list[float]
     first, *others = conversations
     left = iter(others)
     made = Asking(
-        cast(PolicyConversation, first), SESSION, listen=listened.append,
+        cast(PolicyConversation, first), SESSION, check=lambda action: None, listen=listened.append,
         reopen=lambda: cast(PolicyConversation, next(left)), took_s=took_s,
     )  # fmt: skip
     return made, listened, took_s

@@ -17,7 +17,7 @@ from carecontact.trials.deep.columns import (
 
 VELOCITY, POSITION = "droid_joint_velocity", "joint_position"
 POSTURES = {
-    "bathing-v2": np.array([0.53, -0.39, 0.36, -1.84, 0.14, 1.47, 1.14]),
+    "bathing-v3-draft": np.array([0.53, -0.39, 0.36, -1.84, 0.14, 1.47, 1.14]),
     "DROID": np.array([0.0, -0.628, 0.0, -2.513, 0.0, 1.885, 0.0]),
 }
 

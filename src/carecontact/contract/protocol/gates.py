@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Protocol, Self, cast, runtime_checkable
 
-from pydantic import BeforeValidator, ConfigDict, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import BeforeValidator, ConfigDict, model_validator
 
 from carecontact.contract.protocol.section import Fraction, Positive, Section
 from carecontact.errors import UnknownNameError
@@ -21,8 +21,8 @@ class HasGate(Protocol):
         """Schema of the table ``[gates.<action>]``."""
         ...
 
-    def under(self, version: str) -> HasGate:
-        """Return the row that judges the action where ``gates.version`` is this."""
+    def under(self, gates: str) -> HasGate:
+        """Return the row that judges the action where ``gates.set`` is this."""
         ...
 
 
@@ -33,11 +33,11 @@ BEHAVIOURS: Registry[HasGate] = Registry(
 
 
 def _gate(named: tuple[str, str, object]) -> Section:
-    """Return the table of one action, by the action's own schema under the gates' version; its errors keep their place
-    in the file."""
-    version, action, table = named
+    """Return the table of one action, by the action's own schema in the set of gates; its errors keep their place in
+    the file."""
+    gates, action, table = named
     try:
-        return BEHAVIOURS[action].under(version).gate.model_validate(table)
+        return BEHAVIOURS[action].under(gates).gate.model_validate(table)
     except UnknownNameError as error:
         raise ValueError(str(error)) from None
 
@@ -49,9 +49,9 @@ class Gates(Section):
     # Pydantic takes the type of extra fields from this annotation.
     __pydantic_extra__: dict[str, Annotated[Any, BeforeValidator(_gate)]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    version: Literal["gates-v1", "gates-v2"]
-    """The second judges the person's joints too, needs both of their fields, and has other tables for touch, push and
-    scrub: how gently they have to be done (``behaviours``)."""
+    set: Literal["paper", "exam"]
+    """``paper`` has the gates of the paper. ``exam`` judges the person's joints too, for which it needs both fields,
+    and has other tables for touch, push and scrub: how gently they have to be done (``behaviours``)."""
     region_share: Fraction
     """Region-correct: C3 and at least this share of contact impulse on the named region."""
     joint_beyond_rad: Positive | None = None
@@ -75,23 +75,16 @@ class Gates(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_names(cls, content: object) -> object:
-        """Hand each action's table on with the version and its name, by which ``_gate`` finds the schema."""
+        """Hand each action's table on with the set and its name, by which ``_gate`` finds the schema."""
         if not isinstance(content, Mapping):
             return content
         tables = cast("Mapping[str, object]", content)
-        version = str(tables.get("version"))
-        return {name: table if name in cls.model_fields else (version, name, table) for name, table in tables.items()}
-
-    @model_serializer(mode="wrap")
-    def _share_last(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields in the order in which protocols have always been written."""
-        content = handler(self)
-        last = {name: content.pop(name) for name in ("region_share", "joint_beyond_rad", "joint_consumed")}
-        return {**content, **{name: value for name, value in last.items() if value is not None}}
+        gates = str(tables.get("set"))
+        return {name: table if name in cls.model_fields else (gates, name, table) for name, table in tables.items()}
 
     @model_validator(mode="after")
-    def _joints_from_version_2_on(self) -> Self:
+    def _joints_in_the_exam(self) -> Self:
         fields = (self.joint_beyond_rad, self.joint_consumed)
-        if any((value is None) == (self.version == "gates-v2") for value in fields):
-            raise ValueError("joint_beyond_rad and joint_consumed belong to gates-v2, which needs both")
+        if any((value is None) == (self.set == "exam") for value in fields):
+            raise ValueError("joint_beyond_rad and joint_consumed belong to the exam's gates, which need both")
         return self

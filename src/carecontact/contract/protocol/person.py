@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from carecontact.contract.protocol.alive import Alive
 from carecontact.contract.protocol.section import Length, Positive, Section
@@ -45,10 +45,9 @@ class Tissue(Section):
     membrane_n_m: Annotated[float, Field(ge=0, le=20_000)] = 0.0
     """In-plane stiffness of the skin (Young's modulus times thickness): a patch that the tool drags along pulls its
     neighbours with it. 0: no membrane; neighbouring patches move independently."""
-    contact_n_m3: Positive | None
+    contact_n_m3: Positive
     """[N/m per m^2] of the layer between the shell and the tool, which stands for skin compressed across its thickness:
-    its pressure over the depth by which the tool's surface lies in it. None, which no file can say: the row is of a
-    recording from before there was this layer, and no world can be built with it."""
+    its pressure over the depth by which the tool's surface lies in it, for small depths (``kernel.region.LAYER_M``)."""
     areal_mass_kg_m2: Positive
     spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""
@@ -67,16 +66,10 @@ class Tissue(Section):
     calibration: Calibration | None = None
     """None for a row that ``carecontact calibrate`` did not write."""
 
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what rows did not always have, where it is not given: protocols keep their hash."""
-        content = handler(self)
-        return {n: v for n, v in content.items() if v is not None or n not in ("bmi_kg_m2", "calibration")}
-
     @model_validator(mode="after")
     def _solvable(self) -> Self:
         """The solver was tried with a layer of contact up to LARGEST_CONTACT times as stiff as the anchors."""
-        if self.contact_n_m3 is not None and self.contact_n_m3 > LARGEST_CONTACT * self.a_n_m3:
+        if self.contact_n_m3 > LARGEST_CONTACT * self.a_n_m3:
             raise ValueError(
                 f"contact_n_m3 {self.contact_n_m3:g} is too stiff to be solved with a_n_m3 {self.a_n_m3:g}: expected "
                 f"at most {LARGEST_CONTACT} a = {LARGEST_CONTACT * self.a_n_m3:g}"
@@ -103,16 +96,11 @@ class Tissue(Section):
         return self
 
 
-PersonVersion = Literal["person-v1", "person-v2"]
-"""How the person is built and touched (``world.human.versions``). Results of two versions are of two persons."""
-
-
 class Person(Section):
     body: str
     tissue_set: str
     tissue: dict[RegionName, Tissue]
     """One row for each soft region of the protocol, and no other (``Protocol.soft_regions``)."""
-    version: PersonVersion = "person-v1"
     alive: Alive = Alive()
     shoulder_rotation_deg: Annotated[float, Field(ge=-80, le=0)] = 0.0
     """How far the right upper arm is turned outward in the lying pose (below zero), which bends the elbow along the
@@ -120,15 +108,6 @@ class Person(Section):
     palm_deg: Annotated[float, Field(ge=-90, le=60)] = 0.0
     """How far the right forearm is turned from palm up: above zero farther in supination, below zero toward the
     thumb up."""
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what protocols did not always have, at its default: they keep their hash."""
-        content = handler(self)
-        for name in ("version", "alive", "shoulder_rotation_deg", "palm_deg"):
-            if getattr(self, name) == type(self).model_fields[name].default:
-                del content[name]
-        return content
 
     @property
     def rejected_tissue(self) -> str:

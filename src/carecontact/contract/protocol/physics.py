@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
 from carecontact.contract.protocol.section import Positive, Section
 
@@ -32,11 +32,3 @@ class Phases(Section):
     latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Simulated time between an observation and the first action that answers it; the last target holds meanwhile. At
     0 the world stands still while a policy computes."""
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what protocols did not always have, at its default: they keep their hash."""
-        content = handler(self)
-        if self.latency_s == 0:
-            del content["latency_s"]
-        return content

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from carecontact.contract.protocol import consistency
 from carecontact.contract.protocol.contact import ContactDefinition
@@ -47,20 +47,6 @@ class Protocol(Section):
     """All levels of the file, in its order: a seed's person must suit each of them. Written by the loader."""
     overrides: dict[str, str] = Field(default_factory=dict[str, str])
     """Fields that a command replaced for this run: dotted path -> new value (``protocols.overrides``)."""
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the sections that are at their defaults, so that protocols from before these existed keep their
-        hash."""
-        content = handler(self)
-        if self.variation == Variation():
-            del content["variation"]
-        if self.vision == Vision():
-            del content["vision"]
-        for name in ("level", "levels"):
-            if not content[name]:
-                del content[name]
-        return content
 
     @property
     def name(self) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
 from carecontact.contract.embodiment import ToolName
 from carecontact.contract.protocol.section import Positive, Section, Vec3
@@ -31,11 +31,3 @@ class Scene(Section):
     board_friction: Positive
     tool: ToolName = "caps"
     """What the hand wears: a rigid cap over the fingertips, or a soft wash mitt (``contract.embodiment``)."""
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what protocols did not always have, at its default: they keep their hash."""
-        content = handler(self)
-        if self.tool == "caps":
-            del content["tool"]
-        return content

@@ -22,7 +22,7 @@ stands for a run on a protocol that differs from its lock (``runs.freeze``)."""
 
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
-    """Return the id and what was replaced: ``bathing-v2 with body woman-old-light``."""
+    """Return the id and what was replaced: ``bathing-v3-draft with body woman-old-light``."""
     overrides = _with_one_friction(overrides)
     replaced = [REPLACED_WORDS.get(field, f"{field} {{}}").format(value) for field, value in sorted(overrides.items())]
     return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import AfterValidator, Field
 
 from carecontact.contract.protocol.parking import Parking
 from carecontact.contract.protocol.section import Section
@@ -12,8 +12,6 @@ from carecontact.contract.protocol.section import Section
 DRAWN = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m", "overhead_turn_deg",
          "parking")  # fmt: skip
 """Fields that change the compiled model with the seed."""
-LATER = ("calibration_m", "calibration_deg", "tissue", *DRAWN)
-"""Fields that protocols did not always have."""
 Angles = tuple[float, float]
 
 
@@ -30,11 +28,6 @@ class Randomization(Section):
     drawn_as: str = ""
     """Name from which seeds draw, in place of the protocol's id: a draft that is renamed when it is frozen keeps its
     persons."""
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out ``drawn_as`` where it is empty: protocols did not always have it, and keep their hash."""
-        return {name: value for name, value in handler(self).items() if name != "drawn_as" or value}
 
 
 class Variation(Section):
@@ -76,15 +69,6 @@ class Variation(Section):
     """The same, turned about each axis of the camera."""
     parking: Parking | None = None
     """The places where the robot may stand; without it, the robot stands at ``scene.robot_base_m``."""
-
-    @model_serializer(mode="wrap")
-    def _spelled(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what protocols did not always have, at its default: they keep their hash."""
-        content, fields = handler(self), type(self).model_fields
-        for name in LATER:
-            if getattr(self, name) == fields[name].default:
-                del content[name]
-        return content
 
     @property
     def sensor_noise(self) -> bool:

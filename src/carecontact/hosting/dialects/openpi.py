@@ -64,7 +64,7 @@ class OpenpiClient(Client):
             raise PolicyError("handshake", f"metadata: expected a map, got {_shown(metadata)}; {PACKED}")
         self._profile = self._chosen(metadata)
         told = self._profile.endpoint
-        return self._shows(card_of(self._profile, dialect="roboarena" if told else "openpi"))
+        return card_of(self._profile, dialect="roboarena" if told else "openpi")
 
     def _chosen(self, metadata: Mapping[str, object]) -> Profile:
         if "profile" not in self._options:
@@ -102,7 +102,6 @@ class OpenpiClient(Client):
             actions = joint_actions(
                 _chunk(answer, single=profile.endpoint), horizon=profile.horizon, space=profile.action_space
             )
-            actions = self._checked(actions)
         except ActionError as error:
             raise PolicyError("action", str(error)) from None
         return ActReply(actions=actions, sent=message, sent_sha256=digest(request))

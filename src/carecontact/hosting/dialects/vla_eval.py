@@ -72,7 +72,7 @@ class VlaEvalClient(Client):
         if payload.get("protocol_version") != PROTOCOL:
             version = payload.get("protocol_version")
             raise PolicyError("handshake", f"hello: expected protocol_version {PROTOCOL}, got {version!r:.80}")
-        self._card = self._shows(_card(payload, self._options))
+        self._card = _card(payload, self._options)
         return self._card
 
     def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
@@ -90,7 +90,7 @@ class VlaEvalClient(Client):
         payload = observation_payload(observation, self._card.cameras, state=self._card.arguments["state"] == "yes")
         answer = self._ask("observation", payload, "action", deadline_s=deadline_s)
         try:
-            actions = self._checked(joint_actions(_row(answer), horizon=1, space=self._card.action_space, grips=False))
+            actions = joint_actions(_row(answer), horizon=1, space=self._card.action_space, grips=False)
         except ActionError as error:
             raise PolicyError("action", str(error)) from None
         return ActReply(actions=actions, sent=self._last, sent_sha256=sha256(self._last))

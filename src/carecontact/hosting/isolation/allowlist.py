@@ -9,8 +9,10 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 from carecontact.hosting.isolation.landlock import DEVICE, READ, READ_FILE, RESOLVE_SOCKET, TRUNCATE, WRITE, WRITE_FILE
+from carecontact.hosting.isolation.namespaces import SHARED_MEMORY
 
 SYSTEM = (
     "/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store", "/sys", "/run/systemd/resolve",
@@ -51,10 +53,19 @@ DEVICES = (
     "/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*", "/dev/dri", "/dev/kfd",
     "/dev/dxg", "/dev/infiniband",
 )  # fmt: skip
-SHARED_MEMORY = "/dev/shm"
 
 
-def rights(
+@dataclass(frozen=True, kw_only=True)
+class Allowed:
+    """What a policy's process may use."""
+
+    places: tuple[str, ...]
+    """Files and folders as the policy may name them; some may lie in ``/tmp``."""
+    rights: dict[str, int]
+    """Path -> rights, as ``landlock.restrict`` takes them, without those of the running process (``own_rights``)."""
+
+
+def allowed(
     *,
     search_path: Sequence[str],
     target: str,
@@ -63,8 +74,8 @@ def rights(
     writable: Sequence[str],
     closed: Sequence[str],
     record: str | None = None,
-) -> dict[str, int]:
-    """Return path -> rights, as ``landlock.restrict`` takes them.
+) -> Allowed:
+    """Find what a policy's process may use; call it where all files of the system can be seen.
 
     Args:
         search_path: folders of the policy's modules, besides those of ``sys.path``.
@@ -84,7 +95,8 @@ def rights(
     shut = [os.path.realpath(path) for path in (*closed, *keys, *clocks)]
     places = [*SYSTEM, *PROCESS, *map(os.path.expanduser, CACHES), *_interpreter(), *_package(search_path, target)]
     home = os.path.realpath(os.path.expanduser("~"))
-    for place in map(os.path.realpath, [*places, *search_path, *_paths(given)]):
+    places += [*search_path, *_paths(given)]
+    for place in map(os.path.realpath, places):
         # A folder that holds the whole home folder does not open the keys that programs keep hidden there.
         for path in without(place, [*shut, *_hidden(home)] if _inside(home, place) else shut):
             allow(path, READ)
@@ -94,18 +106,27 @@ def rights(
         allow(path, READ | DEVICE)
     for place in SOCKETS:
         allow(os.path.realpath(place), RESOLVE_SOCKET)
-    # CUDA names its threads there and does not start unless it may truncate the file to which it writes a name.
-    allow(f"/proc/{os.getpid()}", READ | WRITE_FILE | TRUNCATE)
-    for place in (tempfile.gettempdir(), SHARED_MEMORY):
-        if list(without(place, shut)) == [place]:
-            allow(place, READ | WRITE)
     if record is not None:
         allow(record, READ_FILE | WRITE_FILE)
     for path in readable:
         allow(path, READ)
     for path in writable:
         allow(path, READ | WRITE | DEVICE | RESOLVE_SOCKET)
-    return found
+    given_places = (*readable, *writable, *filter(None, [record]))
+    return Allowed(places=(*places, *given_places), rights=found)
+
+
+def own_rights(closed: Sequence[str]) -> dict[str, int]:
+    """Return path -> rights of what belongs to the running process: its entry in ``/proc``, temporary files and shared
+    memory.
+
+    ``closed``: as ``allowed`` takes it; shared memory with such a folder in it stays closed.
+    """
+    # CUDA names its threads there and does not start unless it may truncate the file to which it writes a name.
+    own = {f"/proc/{os.getpid()}": READ | WRITE_FILE | TRUNCATE}
+    shut = [os.path.realpath(path) for path in closed]
+    places = (tempfile.gettempdir(), SHARED_MEMORY)
+    return own | {place: READ | WRITE for place in places if list(without(place, shut)) == [place]}
 
 
 def without(folder: str, closed: Sequence[str]) -> Iterator[str]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import re
 
-_DENIED = re.compile(r"Permission denied: *['\"]([^'\"\n]+)|(/[^'\"\n:]+)['\"]?: Permission denied")
+_DENIED = re.compile(
+    r"(?:Permission denied|No such file or directory): *['\"]([^'\"\n]+)"
+    r"|(/[^'\"\n:]+)['\"]?: (?:Permission denied|No such file or directory)"
+)
 
 
 def remedy(message: str, *, isolation: str | None) -> str:
@@ -18,7 +21,8 @@ def remedy(message: str, *, isolation: str | None) -> str:
     if denied is None or not isolation or isolation.startswith("none"):
         return ""
     path = os.path.realpath(denied[1] or denied[2])
-    if not os.access(path if os.path.exists(path) else os.path.dirname(path), os.R_OK):
+    missing = "No such file" in denied[0]  # Namespaces hide what lies in /tmp.
+    if not os.access(path if os.path.exists(path) or missing else os.path.dirname(path), os.R_OK):
         return ""
     return (
         f"; policies are isolated and this file is closed to them: --policy-read {path} lets the policy read it, and "

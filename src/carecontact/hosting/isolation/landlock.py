@@ -59,15 +59,6 @@ def restrict(rights: Mapping[str, int]) -> int:
     return kernel if _enter(handled, rights, scopes=scopes) else 0
 
 
-def confine_signals() -> bool:
-    """Take from this process, and from those that it starts from now on, signals to any other process.
-
-    Returns False, and takes nothing, where the kernel cannot do that.
-    """
-    # A process with any restriction may move files between folders only where a rule says so, so this one says so.
-    return version() >= SCOPES_SINCE and _enter(REFER, {"/": REFER}, scopes=SIGNALS)
-
-
 def _enter(handled: int, rights: Mapping[str, int], *, scopes: int) -> bool:
     # An older kernel refuses unknown fields unless they are 0.
     attributes = struct.pack("=QQQ", handled, 0, scopes)

@@ -1,4 +1,4 @@
-"""A temporary folder for each policy, so that one trial leaves nothing there for the next."""
+"""A temporary folder on the disk for each policy, where its temporary files are not in a namespace's memory."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import DEVNULL
 from typing import NoReturn
 
 from carecontact.exhausted import NO_LOCKS
-from carecontact.hosting.isolation.allowlist import SHARED_MEMORY
+from carecontact.hosting.isolation.namespaces import SHARED_MEMORY
 
 PREFIX = "carecontact-policy-"
 BESIDE_SHARED_MEMORY = "/tmp"
@@ -23,20 +21,8 @@ BESIDE_SHARED_MEMORY = "/tmp"
 REMOVAL_S = 10.0
 """Longest wait [s] for the removal of a policy's folder when the policy has ended: it may have left so many files that
 this takes minutes, and then goes on beside the next trial."""
-ABANDONED_S = 1.0
-"""Longest wait [s] for the removal of folders that others left, which no policy's deadline may pay for."""
-REMOVER = "care-remover"
-"""Name of the process that removes folders. /proc shows it even after that process has ended."""
-_REMOVE = f"""
-{{ printf {REMOVER} > /proc/self/comm; }} 2> /dev/null
-rm -rf -- "$@"
-for folder; do
-    # A folder without the right to list it.
-    [ ! -e "$folder" ] || {{ chmod -R u+rwx -- "$folder"; rm -rf -- "$folder"; }}
-done
-"""
-
-_removing: list[subprocess.Popen[bytes]] = []
+# The second attempt is for a folder without the right to list it.
+_REMOVE = ("sh", "-c", 'rm -rf -- "$0" 2>/dev/null || { chmod -R u+rwx -- "$0"; rm -rf -- "$0"; }')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,20 +33,30 @@ class PrivateFolder:
 
     def remove(self) -> None:
         """Remove the folder, whatever a policy made in it, and release the lock. It may go on after REMOVAL_S."""
-        _remove([self], wait_s=REMOVAL_S)
+        try:
+            self.path.rmdir()  # This needs no file descriptor, where too many may be open.
+        except FileNotFoundError:
+            pass
+        except OSError:
+            # What cannot be removed now is found as abandoned later.
+            with suppress(OSError, subprocess.TimeoutExpired):
+                subprocess.Popen([*_REMOVE, str(self.path)], pass_fds=[self.lock], start_new_session=True).wait(
+                    REMOVAL_S
+                )
+        self.release()
 
     def release(self) -> None:
         """Leave the folder to another process that has the lock."""
         os.close(self.lock)
 
 
-def become_remover(path: Path) -> NoReturn:
+def remove_and_exit(path: Path) -> NoReturn:
     """Remove the folder of a policy and end this process, which turns into another program for that."""
     with suppress(OSError):
         path.rmdir()
         os._exit(0)
     with suppress(OSError):
-        os.execvpe("sh", _remover([path]), {"PATH": os.environ.get("PATH", os.defpath)})
+        os.execvpe(_REMOVE[0], [*_REMOVE, str(path)], {"PATH": os.environ.get("PATH", os.defpath)})
     shutil.rmtree(path, ignore_errors=True)
     os._exit(0)
 
@@ -88,41 +84,10 @@ def private_folder() -> PrivateFolder:
 
 
 def remove_abandoned_folders() -> None:
-    """Remove the folders of policies whose harness was killed. It may go on after ABANDONED_S."""
-    _removing[:] = [process for process in _removing if process.poll() is None]
-    abandoned: list[PrivateFolder] = []
+    """Remove the folders of policies whose harness was killed."""
     for path in _place().glob(f"{PREFIX}*"):
         with suppress(OSError):
-            abandoned.append(PrivateFolder(path=path, lock=_locked(path)))
-    _remove(abandoned, wait_s=ABANDONED_S)
-
-
-def _remove(folders: Sequence[PrivateFolder], *, wait_s: float) -> None:
-    left: list[PrivateFolder] = []
-    for folder in folders:
-        try:
-            # This needs no file descriptor, where too many may be open.
-            folder.path.rmdir()
-        except FileNotFoundError:
-            continue
-        except OSError:
-            left.append(folder)
-    if left:
-        with suppress(OSError):  # What cannot be removed now is found as abandoned later.
-            process = subprocess.Popen(
-                _remover([folder.path for folder in left]), pass_fds=[folder.lock for folder in left],
-                stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True,
-            )  # fmt: skip
-            try:
-                process.wait(wait_s)
-            except subprocess.TimeoutExpired:
-                _removing.append(process)
-    for folder in folders:
-        os.close(folder.lock)
-
-
-def _remover(paths: Sequence[Path]) -> list[str]:
-    return ["sh", "-c", _REMOVE, "sh", *map(str, paths)]
+            PrivateFolder(path=path, lock=_locked(path)).remove()
 
 
 def _place() -> Path:

@@ -23,7 +23,7 @@ class PolicyClient(Client):
 
     def card(self, *, deadline_s: float) -> PolicyCard:
         frame = self.connection.receive("card", deadline_s=deadline_s, late=LATE["card"])
-        return self._shows(codec.decode_card(_decoded(frame, "card", "card")["card"]))
+        return codec.decode_card(_decoded(frame, "card", "card")["card"])
 
     def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         message = reset_message(instruction, session)
@@ -34,7 +34,7 @@ class PolicyClient(Client):
         entries = _decoded(self.connection.ask(message, "actions", deadline_s=deadline_s), "actions", "actions")
         notes = _notes(entries)
         try:
-            actions = self._checked(codec.decode_actions(entries["actions"]))
+            actions = codec.decode_actions(entries["actions"])
         except ActionError as error:
             raise PolicyError("action", str(error), notes=notes) from None
         return ActReply(actions=actions, sent=message, sent_sha256=sha256(message), notes=notes)

@@ -101,7 +101,7 @@ def _decode_camera(plain: object, place: str) -> CameraView:
 
 
 def encode_actions(answer: object) -> list[object]:
-    """Encode what ``act`` returned: one Action or a sequence of 1 to MAX_CHUNK.
+    """Encode what ``act`` returned, one Action or a sequence of 1 to MAX_CHUNK, for the policy's end of the wire.
 
     Raises ActionError when it is neither, or when a field is of a wrong type.
     """
@@ -110,8 +110,15 @@ def encode_actions(answer: object) -> list[object]:
         _wrong(ActionError, "act", "an Action or a list of Actions", actions, hint=object_hint(actions))
     if hint := object_hint(actions):
         _wrong(ActionError, "act", "an Action or a list of Actions", actions, hint=hint)
+    plain = plain_actions(cast(Sequence[object], actions))
+    decode_actions(plain)
+    return plain
+
+
+def plain_actions(actions: Sequence[object]) -> list[object]:
+    """Return actions as maps. Raises ActionError for what is no Action, and for an array that holds no numbers."""
     plain: list[object] = []
-    for i, action in enumerate(cast(Sequence[object], actions)):
+    for i, action in enumerate(actions):
         entries = _fields(action, Action, ActionError, place=f"act[{i}]")
         # Unused fields are left out: chunks are long, and most consist of poses only.
         entries = {name: value for name, value in entries.items() if value is not None or name in _ALWAYS}
@@ -121,7 +128,6 @@ def encode_actions(answer: object) -> list[object]:
         if isinstance(entries["stiffness"], tuple):
             entries["stiffness"] = list(cast(tuple[object, ...], entries["stiffness"]))
         plain.append(entries)
-    decode_actions(plain)
     return plain
 
 
@@ -136,7 +142,7 @@ def _vector(value: object, place: str, expected: str) -> npt.NDArray[np.float64]
 
 
 def decode_actions(plain: object) -> list[Action]:
-    """Decode actions and check their types; ``check_action`` checks the values.
+    """Decode actions and check their types; ``Episode.step`` checks the values.
 
     Raises ActionError naming index and field, what was expected and what came instead.
     """

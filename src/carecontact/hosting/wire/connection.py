@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import socket
 import threading
 import time
@@ -14,7 +15,6 @@ from websockets.sync.client import ClientConnection, connect
 
 from carecontact.errors import ExhaustedError, PolicyError, UnreachableError
 from carecontact.exhausted import is_exhausted
-from carecontact.hosting.alarms import DEADLINES
 from carecontact.hosting.wire.packing import MAX_REPLY_BYTES
 from carecontact.hosting.wire.refusals import absent, closed
 
@@ -38,9 +38,9 @@ class Connection:
     _sent_bytes = 0
     """Length of the last message."""
 
-    def __init__(self, websocket: ClientConnection) -> None:
+    def __init__(self, websocket: ClientConnection, deadline: Deadline) -> None:
         """``websocket``: open, with MAX_REPLY_BYTES as its limit, without pings and compression."""
-        self._websocket = websocket
+        self._websocket, self._deadline = websocket, deadline
         self._stack = ExitStack()
 
     @classmethod
@@ -77,7 +77,12 @@ class Connection:
             raise UnreachableError("start", f"no connection to {place}: {error.strerror or error}") from None
         sock.settimeout(None)
         stack = ExitStack()
-        with cut_off(sock, until - time.monotonic()) as expired:
+        try:
+            deadline = Deadline(sock)
+        except RuntimeError as error:
+            sock.close()
+            raise ExhaustedError(f"no thread for the connection to {place}: {error}") from None
+        with deadline.within(until - time.monotonic()):
             try:
                 opening = connect(
                     f"ws://{place}{path}",
@@ -91,9 +96,10 @@ class Connection:
                     open_timeout=max(until - time.monotonic(), 0.0),
                     close_timeout=CLOSE_S,
                 )
-                connection = cls(stack.enter_context(opening))
+                connection = cls(stack.enter_context(opening), deadline)
             except Exception as error:
-                if isinstance(error, TimeoutError) or expired.is_set():
+                deadline.end()
+                if isinstance(error, TimeoutError) or deadline.expired:
                     text = f"no answer to the WebSocket handshake within {deadline_s:.3g} s"
                     raise PolicyError("timeout", text) from None
                 if is_exhausted(error):  # In this process; the server has no part in it.
@@ -112,7 +118,7 @@ class Connection:
     def waiting(self, *, deadline_s: float = CLOSE_S) -> bytes | str | None:
         """Return a frame that has already come; None if there is none."""
         try:
-            with cut_off(self._websocket.socket, deadline_s):
+            with self._deadline.within(deadline_s):
                 return self._websocket.recv(timeout=0)
         except Exception:
             # Nothing has come, as expected; or the line is closed, which the next request will report.
@@ -132,11 +138,11 @@ class Connection:
         line ends the wait.
         """
         self._sent_bytes = len(message)
-        with cut_off(self._websocket.socket, deadline_s) as expired:
+        with self._deadline.within(deadline_s) as deadline:
             try:
                 self._websocket.send(message)
             except Exception as error:
-                if expired.is_set():
+                if deadline.expired:
                     raise PolicyError("timeout", f"did not read its message within {deadline_s:.2g} s") from None
                 raise closed(error, sent_bytes=self._sent_bytes) from None
         if self.on_sent is not None:
@@ -153,13 +159,13 @@ class Connection:
             PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
         """
         deadline_s = max(deadline_s, 0.0)
-        with cut_off(self._websocket.socket, deadline_s) as expired:
+        with self._deadline.within(deadline_s) as deadline:
             try:
                 # Cut the line to end the wait: only after it is closed does websockets report why it gave the line up.
                 frame = self._websocket.recv(timeout=deadline_s + CLOSE_S)
             except Exception as error:
                 failure = closed(error, sent_bytes=self._sent_bytes)
-                if failure.kind == "died" and expired.is_set():
+                if failure.kind == "died" and deadline.expired:
                     raise PolicyError("timeout", f"no {what} message within {deadline_s:.3g} s{late}") from None
                 raise failure from None
         if self.on_received is not None:
@@ -180,26 +186,54 @@ class Connection:
 
     def close(self) -> None:
         """Close the connection within CLOSE_S, whether or not the other end answers."""
-        with cut_off(self._websocket.socket, CLOSE_S):
-            self._stack.close()
+        try:
+            with self._deadline.within(CLOSE_S):
+                self._stack.close()
+        finally:
+            self._deadline.end()
 
 
-@contextmanager
-def cut_off(line: socket.socket, deadline_s: float) -> Generator[threading.Event]:
-    """Shut a line down at the deadline, whatever blocks on it; yield an event that is set if this happens.
+class Deadline:
+    """A thread that shuts a line down at the deadline of a call, whatever blocks on it.
 
     The deadlines of websockets do not hold against a peer that does not read. Its receiving thread answers pings, and
     while it waits to send a pong it keeps the lock that sending and closing need.
     """
-    expired = threading.Event()
 
-    def cut() -> None:
-        expired.set()
-        with suppress(OSError):
-            line.shutdown(socket.SHUT_RDWR)
+    def __init__(self, line: socket.socket) -> None:
+        """Raises RuntimeError if no thread can be started."""
+        self.expired = False
+        self._line, self._changed = line, threading.Condition()
+        self._until, self._wakes = math.inf, math.inf
+        self._over = False
+        threading.Thread(target=self._watch, daemon=True).start()
 
-    alarm = DEADLINES.set(max(deadline_s, 0.0), cut)
-    try:
-        yield expired
-    finally:
-        alarm.cancel()
+    @contextmanager
+    def within(self, deadline_s: float) -> Generator[Self]:
+        """Cut the line if the block takes longer than ``deadline_s`` [s]; ``expired`` then is true."""
+        with self._changed:
+            self._until = time.monotonic() + max(deadline_s, 0.0)
+            if self._until < self._wakes:
+                self._changed.notify()
+        try:
+            yield self
+        finally:
+            with self._changed:
+                self._until = math.inf
+
+    def end(self) -> None:
+        with self._changed:
+            self._over = True
+            self._changed.notify()
+
+    def _watch(self) -> None:
+        with self._changed:
+            while not self._over:
+                left_s = self._until - time.monotonic()
+                if left_s <= 0.0:
+                    self.expired, self._until = True, math.inf
+                    with suppress(OSError):
+                        self._line.shutdown(socket.SHUT_RDWR)
+                    continue
+                self._wakes = self._until
+                self._changed.wait(min(left_s, threading.TIMEOUT_MAX))

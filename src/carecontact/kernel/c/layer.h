@@ -1,8 +1,8 @@
 // The contact layer between skin and tool, per area of the surface: its pressure grows with the depth d as
 //     p = k d (1 + (d / h)^2),
 // where k is its stiffness when it is hardly pressed, and h the depth at which the pressure is twice that of a linear
-// layer. Form and h are assumed (docs/kernel.md). Person-v1 has h = 0, which stands for a linear layer. p is the slope of
-// the energy, and the energy of the layer depends on its depth alone.
+// layer; 0 stands for a linear layer. Form and h are assumed (docs/kernel.md). p is the slope of the energy, and the energy
+// of the layer depends on its depth alone.
 #pragma once
 
 static inline double layer_pressure(double k, double h, double d) {

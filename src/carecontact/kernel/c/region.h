@@ -43,7 +43,7 @@ enum {
 enum { LAW_A, LAW_B, LAW_C, LAW_DAMPING, LAW_DAMPING_GROWTH, LAW_MASS, LAW_COUPLING, LAW_MEMBRANE, LAW_FRICTION,
        LAW_CONTACT, LAW_THICKNESS, LAW_SIZE };
 
-// The numeric "<key>/contact" (world/human/versions.py). Regions of person-v1 have none, and all are 0 there.
+// The numeric "<key>/contact" (LAYER_M and ENTRY_M in kernel/region.py). Where a region has none, both are 0.
 enum { CONTACT_LAYER, CONTACT_ENTRY, CONTACT_SIZE };
 
 // The numeric "<key>/options".
@@ -62,7 +62,7 @@ enum { POINTS_EACH = 4 };
 // All of them are doubles, which law_sound adds up.
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
-  double layer, entry;  // of person-v2: depth over which the contact layer stiffens, way over which skin is let in [m]
+  double layer, entry;  // depth over which the contact layer stiffens, way over which skin is let in [m]
 } Law;
 
 typedef struct {
@@ -188,7 +188,7 @@ void region_commit(Region* r, State* s, double dt);
 
 // The parts of a step, one file each.
 Law law_read(const mjModel* m, const Region* r);
-// Whether a step can be made with these numbers: all are finite, and none of person-v2's is negative.
+// Whether a step can be made with these numbers: all are finite, and neither layer nor entry is negative.
 int law_sound(const Law* law);
 void patches_make(Region* r);
 void window_find(const mjModel* m, const mjData* d, Region* r, const State* s, double reach);

@@ -18,7 +18,6 @@ from carecontact.sim.true_skin import skin_in_world
 from carecontact.world.human.breathing import move_skin
 from carecontact.world.human.refine import refined
 from carecontact.world.human.skin import add_skin
-from carecontact.world.human.versions import BUILDS
 from carecontact.world.scene import Scene, build_spec, controlled
 
 F64 = npt.NDArray[np.float64]
@@ -42,7 +41,7 @@ def film_scene(scene: Scene, region: str) -> Scene:
     segments = {REGIONS[region].segment, *REGIONS[region].neighbourhood}
     add_skin(spec, refined(body, *sorted(segments), times=SPLITS))
     if protocol.person.alive.breathing is not None:
-        move_skin(spec, body, BUILDS[protocol.person.version])
+        move_skin(spec, body)
     made = replace(scene, model=spec.compile(), spec=spec, hinges=tuple(hinges), regions=regions, frames=frames)
     return made if scene.control.joint is None else controlled(made, scene.control)
 

@@ -64,7 +64,7 @@ class Story:
 def story_of(recording: Recording) -> Story:
     """Raises what ``score_recording`` raises."""
     header, spec = recording.header, recording.header.spec
-    task, score = spec.protocol.task(spec.task_id), score_recording(recording, sha256="")
+    task, score = spec.protocol.task(spec.task_id), score_recording(recording)
     trace = force_trace(recording, score)
     column = header.regions.index(task.region)
     duration = len(recording["scorer/time_s"]) * spec.protocol.physics.dt_s

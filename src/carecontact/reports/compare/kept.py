@@ -15,8 +15,8 @@ from carecontact.runs.stored_scores import read_scores
 
 PACKAGE = Path(__file__).parents[2]
 FOLDERS = (PACKAGE / "assets" / "results", PACKAGE.parents[1] / "docs" / "results")
-"""The folders in which ``tools/results.py`` leaves kept scores, with a folder for each protocol: in the package, or in
-the clone that it is installed from."""
+"""The folders in which ``tools/keep_sweep.py`` leaves kept scores, with a folder for each protocol: in the package, or
+in the clone that it is installed from."""
 
 
 def beside_kept(

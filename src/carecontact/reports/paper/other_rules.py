@@ -10,10 +10,8 @@ from carecontact.protocols import load_protocol
 from carecontact.reports.paper.method import Method
 from carecontact.reports.text import listed
 
-REPEATS = "bathing-v2"
+REPEATS = "bathing-v3-draft"
 """The protocol with the paper's rules, as far as the paper states them."""
-EARLIER = "bathing-v1"
-"""The same rules with an earlier tissue."""
 PAPER_TRIALS, PAPER_TASKS = 140, 7
 """Trials of each of the paper's methods, and tasks."""
 PARTS = {
@@ -35,7 +33,7 @@ def other_rules(methods: Sequence[Method], protocol: Protocol | None) -> str | N
     if first is None:
         return None
     if protocol is None:
-        same = first.protocol_id in (REPEATS, EARLIER) and not first.overrides
+        same = first.protocol_id == REPEATS and not first.overrides
         differs = None if same else "which is not the paper's"
     else:
         paper = load_protocol(REPEATS)

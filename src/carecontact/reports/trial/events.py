@@ -108,4 +108,4 @@ def _beginning(recording: Recording, steps: int) -> Recording:
     reads them."""
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
     cut = {path: recording[path][:steps] for path in described if dimensions(path)[0] == "T"}
-    return replace(recording, arrays=recording.arrays | cut)
+    return replace(recording, arrays={**recording.arrays, **cut})

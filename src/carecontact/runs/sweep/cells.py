@@ -27,7 +27,7 @@ CELLS = "cells"
 """Folder of a sweep, below which every cell has its own."""
 NAME_CHARACTERS = 100
 DIGEST_CHARACTERS = 8
-NAME_LEVELS = 'name levels in axes.level, or each beside its protocol, such as "bathing-wide-v1 L0"'
+NAME_LEVELS = 'name levels in axes.level, or each beside its protocol, such as "bathing-wide-v2-draft L0"'
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,28 +36,23 @@ def cell_share(contact: Contact) -> float | None:
 def of_cells(
     name: str, *, title: str, better: Better, order: int, unit: str = "1", answer: bool = False
 ) -> Callable[[Measure], Measure]:
-    """Register a measure of the touched cells as ``NAME@1``, which is NA where no cell was touched, and as ``NAME@2``,
-    which is NA as well where the cells felt less than MOST_OF_FORCE of the contact.
+    """Register a measure of the touched cells as ``NAME@2``, which is NA where no cell was touched, and where the cells
+    felt less than MOST_OF_FORCE of the contact.
 
     Args:
         answer: whether the value is a yes (1) or a no (0) about wiping, of which tables count the yes.
     """
 
     def register(measure: Measure) -> Measure:
-        def first(contact: Contact) -> float | None:
-            cells = touched_cells(contact)
-            return None if cells is None else measure(cells, contact)
+        def compute(contact: Contact) -> float | None:
+            share, cells = cell_share(contact), touched_cells(contact)
+            return None if cells is None or share is None or share < MOST_OF_FORCE else measure(cells, contact)
 
-        def second(contact: Contact) -> float | None:
-            share = cell_share(contact)
-            return first(contact) if share is not None and share >= MOST_OF_FORCE else None
-
-        for version, compute in enumerate((first, second), start=1):
-            compute.__doc__ = measure.__doc__
-            metric(
-                f"{name}@{version}", title=title, unit=unit, better=better, only=("scrub",) if answer else None,
-                median=not answer, order=order,
-            )(compute)  # fmt: skip
+        compute.__doc__ = measure.__doc__
+        metric(
+            f"{name}@2", title=title, unit=unit, better=better, only=("scrub",) if answer else None, median=not answer,
+            order=order,
+        )(compute)  # fmt: skip
         return measure
 
     return register

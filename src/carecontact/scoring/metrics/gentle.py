@@ -1,7 +1,7 @@
 """gentle_hold@1, axis_passed@1, gentle_share@1, wrist_from_onset@1: the quantities that the
-gates of gates-v2 limit, for trials under any gates.
+exam's gates limit, for trials under any gates.
 
-The bands are those that gates-v2 is proposed with; their reasons are in docs/scoring.md.
+The bands are those of the exam; their reasons are in docs/scoring.md.
 """
 
 from __future__ import annotations

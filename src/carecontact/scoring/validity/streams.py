@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from carecontact.recording import Recording
-from carecontact.scoring.validity.actions import check_actions
 from carecontact.scoring.validity.forces import check_forces
 from carecontact.scoring.validity.times import check_times
 from carecontact.scoring.validity.values import (
@@ -19,13 +18,12 @@ from carecontact.scoring.validity.values import (
 def check_streams(recording: Recording) -> None:
     """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
 
-    The checks are ``check_finite_streams``, ``check_actions``, ``check_times``, ``check_bounds``, ``check_cells``,
-    ``check_rotations``, ``check_joint_ranges``, ``check_reactions`` and ``check_forces``. They do not find what is
-    wrong by less than their generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut
-    needs only finite values and clocks that agree.
+    The checks are ``check_finite_streams``, ``check_times``, ``check_bounds``, ``check_cells``, ``check_rotations``,
+    ``check_joint_ranges``, ``check_reactions`` and ``check_forces``. They do not find what is wrong by less than their
+    generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values
+    and clocks that agree. Whether an action may be executed is decided in ``Episode.step``, and not once more here.
     """
     check_finite_streams(recording)
-    check_actions(recording)
     check_times(recording)
     header = recording.header
     diverged = header.ended == "safety_truncation" and header.failure is not None and header.failure.kind == "solver"

@@ -32,18 +32,24 @@ BOUNDS: dict[str, tuple[float, float, str]] = {
 }
 """Array -> lowest and highest value [unit]. What is refused, no policy can bring about: another sign, or a place
 outside the room."""
+TARGETS = ("actions/pose_tcp_in_base", "actions/joint")
+ACTIONS = (*TARGETS, "actions/time_s", "actions/stiffness", "actions/axis_stiffness")
 CELLS = ("area_m2", "press_ns", "shear_ns", "slip_m3", "touch_m2s")
 ROUNDING = 1e-3
 """Share by which the area in contact of a cell may exceed the cell's own, since both are sums of 32-bit floats."""
 
 
 def check_finite_streams(recording: Recording) -> None:
-    """Raises RecordingError for a value in a scorer stream, or a time of an action, that is not finite."""
+    """Raises RecordingError for a value in a scorer stream or of an action that is not finite. NaN in a whole row says
+    that an action kept the last target, or that actions in joint space have no stiffness."""
+    may_lack = ACTIONS if "actions/joint" in recording else TARGETS
     for path in sorted(recording.arrays):
         array = recording.arrays[path]
-        if not (path.startswith("scorer/") or path == "actions/time_s") or array.dtype.kind != "f":
+        if not (path.startswith("scorer/") or path in ACTIONS) or array.dtype.kind != "f":
             continue
         finite = np.isfinite(array)
+        if path in may_lack and path != "actions/time_s":
+            finite |= np.isnan(array).all(axis=1, keepdims=True)
         if not finite.all():
             place = _first(~finite)
             trial_id = recording.header.spec.trial_id

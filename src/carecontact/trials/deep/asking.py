@@ -9,7 +9,7 @@ from typing import Self
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.session import Session
-from carecontact.errors import PolicyError
+from carecontact.errors import ActionError, PolicyError
 from carecontact.hosting.conversation import PolicyConversation
 
 
@@ -23,12 +23,13 @@ class Asking:
         conversation: PolicyConversation,
         session: Session,
         *,
+        check: Callable[[Action], object],
         listen: Callable[[PolicyConversation], None],
         reopen: Callable[[], PolicyConversation],
         took_s: list[float],
     ) -> None:
         self._conversation, self._session = conversation, session
-        self._listen, self._reopen, self._took_s = listen, reopen, took_s
+        self._check, self._listen, self._reopen, self._took_s = check, listen, reopen, took_s
         self._own: PolicyConversation | None = None
         self.last: Sequence[Action] = ()
         """Actions of the last answer."""
@@ -50,6 +51,11 @@ class Asking:
             started = time.monotonic()
             self.last = self._conversation.act(observation).actions
             self._took_s.append(time.monotonic() - started)
+            for number, action in enumerate(self.last):
+                try:
+                    self._check(action)
+                except ActionError as error:
+                    self._conversation.refuse(number, error)
         except PolicyError:
             if not may_refuse:
                 raise

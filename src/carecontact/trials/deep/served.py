@@ -12,8 +12,8 @@ import numpy.typing as npt
 from carecontact.contract.action import Action
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
-from carecontact.contract.session import Session
 from carecontact.contract.trial import TrialSpec
+from carecontact.episode.episode import Episode
 from carecontact.hosting.conversation import PolicyConversation
 from carecontact.hosting.remote import HIDDEN
 from carecontact.hosting.setup import PolicySetup
@@ -114,9 +114,12 @@ class DeepCheck:
             for found in columns.look_at_gripper(chunk[:, -1]):
                 self._say(found)
 
-    def ask_again(self, conversation: PolicyConversation, observation: Observation, session: Session) -> None:
+    def ask_again(self, conversation: PolicyConversation, observation: Observation, episode: Episode) -> None:
         """Blank each input in turn. Raises PolicyError if the policy fails at the unchanged observation."""
-        asking = Asking(conversation, session, listen=self.listen, reopen=self._reopen, took_s=self._took_s)
+        session = episode.session
+        asking = Asking(
+            conversation, session, check=episode.check, listen=self.listen, reopen=self._reopen, took_s=self._took_s
+        )
         ask = asking.ask
 
         def numbers(seen: Observation) -> F64 | None:

@@ -17,7 +17,6 @@ from carecontact.world.human.parting import girdle
 from carecontact.world.human.plates import SIDEWAYS
 from carecontact.world.human.shell import belly_half_width, belly_span
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.versions import Build
 
 SEGMENT = {"abdomen": "abdomen", "chest": "thorax"}
 """Part -> the segment that carries its slide."""
@@ -41,6 +40,9 @@ TAPER_M = 0.06
 SEAM_M = 0.03
 """Width of the strip over the lower border of the chest in which the skin goes over from the abdomen's movement to the
 chest's, if the whole of both has its full movement."""
+MARGIN_M = 0.015
+"""How far the visible skin makes all of a breath's movement beyond the abdomen's soft region and beyond what the
+chest's plates carry."""
 SIDE_M = 0.03
 """Width of the zone in which it fades from the plane of the spine forward."""
 
@@ -79,7 +81,7 @@ def carrier(segment: str, *, breathes: bool) -> str:
     return breath_body(part) if breathes and part is not None else body_name(segment)
 
 
-def move_skin(spec: mujoco.MjSpec, body: Body, build: Build) -> None:
+def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
     """Let the slides move the visible skin. Call it after the skin, with the body that the skin was made from.
 
     Whatever weight a vertex gets from a slide is subtracted from its weight on the segment under the slide, also below
@@ -89,8 +91,8 @@ def move_skin(spec: mujoco.MjSpec, body: Body, build: Build) -> None:
     points = np.asarray(skin.vert, np.float64).reshape(-1, 3)
     names, ids, weights = list(skin.bodyname), list(skin.vertid), list(skin.vertweight)
     bindpos, bindquat = list(skin.bindpos), list(skin.bindquat)
-    of_trunk = np.ones(len(points)) if build.breath_margin_m is None else 1 - _weight(skin, STILL)
-    for part, share in shares(body, points, build).items():
+    of_trunk = 1 - _weight(skin, STILL)
+    for part, share in shares(body, points).items():
         share = share * _rise(of_trunk / WHOLE_FROM)
         rows, under = np.flatnonzero(share), names.index(body_name(SEGMENT[part]))
         lessened = np.zeros(len(points))
@@ -116,33 +118,21 @@ def _weight(skin: mujoco.MjsSkin, segments: tuple[str, ...]) -> Array:
     return weight
 
 
-def shares(body: Body, points: npt.ArrayLike, build: Build) -> dict[str, Array]:
-    """Return, for each part, the share (n,) of its movement that points (n, 3) of the skin make, in the mesh frame."""
-    if build.breath_margin_m is not None:
-        return _full_shares(body, np.asarray(points, np.float64), build.breath_margin_m)
-    x, y, z = np.asarray(points, np.float64).T
-    low, high = belly_span(body)
-    shoulder = body.joint_centre["left_upper_arm"]
-    ahead = _rise((body.joint_centre["thorax"][1] - y) / SIDE_M)
-    above = _rise((z - high) / TAPER_M)
-    belly = (1 - above) * _rise((z - low) / TAPER_M + 1) * _rise(1 - (np.abs(x) - belly_half_width(body)) / TAPER_M)
-    below_neck = _rise((shoulder[2] - z) / TAPER_M + 0.5)
-    chest = above * below_neck * _rise(1 - (np.abs(x) - 0.6 * shoulder[0]) / TAPER_M)
-    return {"abdomen": ahead * belly, "chest": ahead * chest}
+def shares(body: Body, points: npt.ArrayLike) -> dict[str, Array]:
+    """Return, for each part, the share (n,) of its movement that points (n, 3) of the skin make, in the mesh frame.
 
-
-def _full_shares(body: Body, points: Array, margin_m: float) -> dict[str, Array]:
-    """Return the same shares, which are whole as far as a margin beyond the abdomen's soft region, and beyond what the
-    plates of the chest carry of the front. Between the two, the skin goes over from one movement to the other on the
-    lowest strip of the chest.
+    The shares are whole as far as MARGIN_M beyond the abdomen's soft region, and beyond what the plates of the chest
+    carry of the front. Between the two, the skin goes over from one movement to the other on the lowest strip of the
+    chest.
     """
+    points = np.asarray(points, np.float64)
     low, high = belly_span(body)
     ahead = _rise((body.joint_centre["thorax"][1] - points[:, 1]) / SIDE_M)
-    above = _rise((points[:, 2] - high - margin_m) / SEAM_M)
-    beside = np.abs(points[:, 0]) - belly_half_width(body) - margin_m
-    under = low - margin_m - points[:, 2]
+    above = _rise((points[:, 2] - high - MARGIN_M) / SEAM_M)
+    beside = np.abs(points[:, 0]) - belly_half_width(body) - MARGIN_M
+    under = low - MARGIN_M - points[:, 2]
     belly = (1 - above) * _rise(1 - beside / TAPER_M) * _rise(1 - under / TAPER_M)
-    over_girdle = np.max([girdle(body, side).height_m(points) for side in SIDEWAYS], axis=0) - margin_m
+    over_girdle = np.max([girdle(body, side).height_m(points) for side in SIDEWAYS], axis=0) - MARGIN_M
     chest = above * _rise(1 - over_girdle / TAPER_M)
     return {"abdomen": ahead * belly, "chest": ahead * chest}
 

@@ -9,6 +9,7 @@ the left arm, the elbows, wrists and hands, and the middle of the back have none
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -16,7 +17,6 @@ import numpy as np
 
 from carecontact.world.human.anthropometry import SegmentInertia
 from carecontact.world.human.body import Array, Body
-from carecontact.world.human.versions import Build
 
 FREQUENCY_RAD_S, SHANK_RAD_S = 500.0, 600.0
 """Natural frequency of a plate on its spring; our choice. A blow of 1 kg loses little to the plate's own mass, and the
@@ -107,23 +107,23 @@ class Plate:
         return self.name.endswith("_chest")
 
 
-def plates(build: Build) -> list[Plate]:
-    rows: list[Plate] = []
+def _plates() -> Iterator[Plate]:
     for part, give in GIVES.items():
         for side, sideways in SIDEWAYS.items():
             reached = side == REACHED_FROM_THE_SIDE
             if part == CAP and not reached:
                 continue
-            aside = [sideways] if reached else [-sideways] if build.inner_sides and part in INNER_SIDES else []
+            aside = [sideways] if reached else [-sideways] if part in INNER_SIDES else []
             segment = f"{side}_upper_arm" if part == CAP else SEGMENT_OF.get(part, f"{side}_{part}")
-            rows.append(Plate(name=f"{side}_{part}", segment=segment, give=give, outward=np.array([FRONT, *aside])))
-    if build.belly_floor:
-        rows.append(Plate(name=BELLY_FLOOR, segment="abdomen", give=FLOOR_GIVE, outward=np.array([FRONT])))
-    return rows
+            yield Plate(name=f"{side}_{part}", segment=segment, give=give, outward=np.array([FRONT, *aside]))
+    yield Plate(name=BELLY_FLOOR, segment="abdomen", give=FLOOR_GIVE, outward=np.array([FRONT]))
 
 
-def plates_of(segment: str, build: Build) -> list[Plate]:
-    return [plate for plate in plates(build) if plate.segment == segment]
+PLATES = tuple(_plates())
+
+
+def plates_of(segment: str) -> list[Plate]:
+    return [plate for plate in PLATES if plate.segment == segment]
 
 
 def plate_body(plate: str) -> str:

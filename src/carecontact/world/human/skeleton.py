@@ -28,7 +28,6 @@ from carecontact.world.human.plates import (
 )
 from carecontact.world.human.pose import FIXED_SEGMENTS, lying_pose_deg, rotation_from_bind
 from carecontact.world.human.shell import belly_half_width, belly_span
-from carecontact.world.human.versions import Build
 
 # Collision bits. The robot has contype 1; bed and arm board have conaffinity 3 and so meet both robot and proxies.
 ROBOT_ONLY = {"contype": 0, "conaffinity": 1}
@@ -50,7 +49,6 @@ def add_skeleton(
     root_position: Array,
     root_quat: Array,
     soft_regions: Iterable[str],
-    build: Build,
     front: Callable[[str, mujoco.MjsBody], mujoco.MjsBody] | None = None,
 ) -> list[Hinge]:
     """Add every segment under a free root, and return the hinges in the order of their joints.
@@ -65,10 +63,8 @@ def add_skeleton(
     soft = {REGIONS[region].segment: region for region in soft_regions}
     inertias = segment_inertias(body)
     rows, pose = hinges(body), lying_pose_deg(body, 0.0)
-    surface = list(_hulls(body, soft, build))
-    if build.parted:
-        apart = parted(body)
-        surface = [replace(hull, points=apart.get(hull.name, hull.points)) for hull in surface]
+    apart = parted(body)
+    surface = [replace(hull, points=apart.get(hull.name, hull.points)) for hull in _hulls(body, soft)]
     bodies: dict[str, mujoco.MjsBody] = {}
     carriers: dict[str, mujoco.MjsBody] = {}
     for segment in body.segments:
@@ -82,7 +78,7 @@ def add_skeleton(
         bodies[segment], ahead = made, made if front is None else front(segment, made)
         places = [
             (plate, _belly_middle(body) if plate.name == BELLY_FLOOR else _middle(surface, plate.name))
-            for plate in plates_of(segment, build)
+            for plate in plates_of(segment)
         ]
         made.mass, centre, tensor = without_plates(inertias[segment], places)
         made.explicitinertial, made.ipos = True, centre - at
@@ -165,8 +161,7 @@ def rigid_points(body: Body, segment: str) -> Array:
 
     Raises SceneError for a segment without a surface of its own.
     """
-    # No version of the person changes the surface, only which plate carries it.
-    found = [hull.points for hull in _hulls(body, {}, Build()) if hull.segment == segment]
+    found = [hull.points for hull in _hulls(body, {}) if hull.segment == segment]
     if not found:
         raise SceneError(f"segment {segment!r} has no surface of its own that a robot could touch")
     return np.concatenate(found)
@@ -178,7 +173,7 @@ GIRDLE_SHARE = 0.45
 """Share of the way from the breastbone to the shoulder's joint at which the girdle begins."""
 
 
-def _hulls(body: Body, soft: dict[str, str], build: Build) -> Iterator[_Hull]:
+def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
     """Yield every hull: together they cover all that no shell covers, so that the surface has no hole.
 
     ``soft``: segment -> its soft region.
@@ -207,15 +202,15 @@ def _hulls(body: Body, soft: dict[str, str], build: Build) -> Iterator[_Hull]:
             back = trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
             yield _Hull(name="lower_back", segment=segment, points=back)
         elif segment in soft and isinstance(tube := REGIONS[soft[segment]].shape, Tube):
-            yield from _limb_ends(body, segment, tube, plate=_own_plate(segment, build))
+            yield from _limb_ends(body, segment, tube, plate=_own_plate(segment))
         else:
-            plate = _own_plate(segment, build)
+            plate = _own_plate(segment)
             yield _Hull(name=segment, segment=segment, points=body.vertices_of(segment), plate=plate)
 
 
-def _own_plate(segment: str, build: Build) -> str | None:
+def _own_plate(segment: str) -> str | None:
     """Return the name of the only plate of a limb's segment; None if it has none."""
-    return next((plate.name for plate in plates_of(segment, build)), None)
+    return next((plate.name for plate in plates_of(segment)), None)
 
 
 def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:

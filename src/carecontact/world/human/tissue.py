@@ -23,7 +23,6 @@ from carecontact.world.human import plates
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, body_name
-from carecontact.world.human.versions import BUILDS, Build
 
 CORE_MIN_RADIUS_M = 0.006
 CORE_PIECE_M, CORE_SECTOR_RAD = 0.030, np.pi / 3
@@ -76,7 +75,7 @@ class DeclaredCells:
 
 def add_tissue(
     spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str = PANDA.base_body,
-    ledger: bool = False, on: str | None = None, floor: str | None = None, build: Build = BUILDS["person-v1"],
+    ledger: bool = False, on: str | None = None, floor: str | None = None,
 ) -> SoftRegion:  # fmt: skip
     """Add shell and bone core of one region. Call it after the skeleton.
 
@@ -86,7 +85,6 @@ def add_tissue(
         on: name of the body that carries the shell, whose origin is that of the segment's body; by default the
             segment's body.
         floor: name of the plate that carries the core, at the same place; by default the segment's body carries it.
-        build: how tools touch the shell.
     """
     origin = body.joint_centre[REGIONS[region].segment]
     limb = isinstance(REGIONS[region].shape, Tube)
@@ -96,10 +94,7 @@ def add_tissue(
         areas=shell.area, cells=cells.of_triangle,
     )  # fmt: skip
     bone = spec.body(on or body_name(REGIONS[region].segment))
-    add_region(
-        spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger, layer_m=build.layer_m,
-        entry_m=build.entry_m,
-    )  # fmt: skip
+    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger)
     _add_core(spec, region, shell, tissue, origin, floor=floor)
     return SoftRegion(name=region, shell=shell, tissue=tissue, cells=cells)
 

@@ -123,11 +123,6 @@ def _protocol(headers: Sequence[Header]) -> list[Caveat]:
     if any(not protocol.frozen for protocol in protocols):
         text = "The protocol is not frozen: it may still change, and results under different releases must not be compared."
         found.append(("Draft protocol", text))
-    if any(row.contact_n_m3 is None for protocol in protocols for row in protocol.person.tissue.values()):
-        text = (
-            "This run was made with an earlier model of the soft tissue. Its numbers do not hold for the present one."
-        )
-        found.append(("Earlier tissue", text))
     changed = sorted({state for protocol in protocols if (state := frozen_state(protocol)).startswith("not ")})
     if changed:
         text = f"The protocol is {'; '.join(changed)}. Do not compare these numbers with those of the frozen protocol."
@@ -174,7 +169,7 @@ def _incomplete(page: Page) -> list[Caveat]:
 def _isolation(page: Page) -> list[Caveat]:
     """Return trials whose policy ran with less isolation than there is, or was opened more than it needs."""
     reached = {tuple(text.split("; ", 1)) for text in page.kept.get("caveats", {}).values()}
-    less = sorted({level for level, *_ in reached if level != "full"})
+    less = sorted({level for level, *_ in reached if not level.startswith("full")})
     opened = sorted({option for _, *options in reached for option in options})
     said = [f"The policy's process was not fully isolated from the benchmark ({' / '.join(less)})."] if less else []
     said += (

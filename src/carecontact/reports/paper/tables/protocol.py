@@ -92,12 +92,12 @@ def _tissue(protocol: Protocol) -> str:
 
 
 def _gates(gates: Gates) -> str:
-    """Their numbers, named as in the protocol's file: ``gates-v1: touch duration 0.5 s; ...``."""
+    """Their numbers, named as in the protocol's file: ``paper: touch duration 0.5 s; ...``."""
     told = [
         f"{action} " + ", ".join(_amount(name, value) for name, value in table.model_dump().items())
         for action, table in gates.actions.items()
     ]
-    return f"{gates.version}: {'; '.join(told)}"
+    return f"{gates.set}: {'; '.join(told)}"
 
 
 def _amount(field: str, value: float) -> str:

@@ -1,1 +1,0 @@
-"""The evaluated methods on one protocol, compared with each other and shown beside the paper."""
