@@ -55,9 +55,13 @@ def main(arguments: list[str] | None = None) -> int:
     if (options.base is None) == (options.runs is None):
         parser.error("expected BASE or --runs DIR DIR")
     found = list(compared(*options.runs) if options.runs else of_revisions(options))
-    told = [line for line in found if not any(fnmatchcase(line, pattern) for pattern in options.allow)]
-    print("\n".join([*told, f"{len(told)} differences; {len(found) - len(told)} more were allowed"]))
-    return 1 if told else 0
+    refused = [line for line in found if not any(fnmatchcase(line, pattern) for pattern in options.allow)]
+    print(
+        "\n".join(
+            [*refused, f"{len(refused)} differences that are not allowed, and {len(found) - len(refused)} that are"]
+        )
+    )
+    return 1 if refused else 0
 
 
 def of_revisions(options: argparse.Namespace) -> Iterator[str]:

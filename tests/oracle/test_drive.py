@@ -16,13 +16,20 @@ from carecontact.hosting.setup import PolicySetup
 from carecontact.oracle.drive import drive
 from carecontact.policies import registry
 from carecontact.policies.registry import POLICIES, PolicyRow
-from carecontact.protocols import load_protocol
+from carecontact.protocols import FAST_DT_S, load_protocol, overridden
 from carecontact.recording import read_header, write_recording
 from carecontact.recording.schema import SEGMENTS
 from carecontact.scoring import score_recording
 from carecontact.trials.trial import run_trial
 
 ALIVE = Alive(breathing=Breathing(abdomen_m=(0.015, 0.015)), repositioning=Repositioning(), withdrawal=Withdrawal())
+
+
+def test_it_feels_the_force_with_the_steps_of_the_fast_mode_too() -> None:
+    protocol = overridden(load_protocol(), {"physics.dt_s": FAST_DT_S})
+    recording = run_trial(TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="oracle"))
+    assert recording.header.ended == "done"
+    assert score_recording(recording).safety_gated
 
 
 @pytest.mark.parametrize("task", ["T2", "T7"])

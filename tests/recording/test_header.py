@@ -157,6 +157,13 @@ def test_the_release_is_named_as_in_the_changes() -> None:
     assert f"## {release}\n\nCommit `{commit}`" in changes
 
 
+@pytest.mark.parametrize("version", [None, "3", "another-recording-4"])
+def test_a_schema_of_no_release_is_no_recording(version: str | None, tmp_path: Path) -> None:
+    header = json.loads(header_json(touch().header)) | {"schema_version": version}
+    with pytest.raises(RecordingError, match="no recording of carecontact"):
+        read_header(store(tmp_path / "T1-s000.h5", header, touch().arrays))
+
+
 def test_a_newer_schema_is_named(tmp_path: Path) -> None:
     header = json.loads(header_json(touch().header)) | {"schema_version": "carecontact-recording-5"}
     with pytest.raises(RecordingError, match=f"written by a newer release; this one reads '{SCHEMA_VERSION}'"):

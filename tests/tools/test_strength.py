@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,18 @@ from carecontact.code import half
 def test_half():
     assert half(5) == 2
 """
+
+
+FAULTS = tomllib.loads((strength.ROOT / "tests" / "strength.toml").read_text())["fault"]
+
+
+def test_every_recorded_fault_can_still_be_planted() -> None:
+    """A change that moves or rewrites such a place brings its entry along."""
+    stale = {
+        fault["id"]: found for fault in FAULTS if isinstance(found := strength.find(strength.ROOT, fault["code"]), str)
+    }
+    assert stale == {}
+    assert [fault["id"] for fault in FAULTS if not (strength.ROOT / fault["tests"]).exists()] == []
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ Under the exam's gates, the displacement counts from the beginning of the contac
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 from pydantic import model_validator
 
@@ -31,12 +31,34 @@ from carecontact.behaviours import (
 )
 
 
-class PushFromOnsetGate(Section):
-    """docs/scoring.md has the reasons and sources of the values in the shipped protocols."""
-
+class PressGate(Section):
     force_n: Positive
     """Least force, summed over the named region's segment and its neighbours, during the whole hold [N]."""
     duration_s: Positive
+
+
+G = TypeVar("G", bound=PressGate)
+
+
+class Press(Behaviour[G]):
+    """What both pushes have in common: a hold with a least force."""
+
+    moves_the_person = True
+
+    def holding(self, contact: Contact, gate: G) -> Mask:
+        return contact.neighbourhood_on & (contact.neighbourhood_force >= gate.force_n)
+
+    def lost(self, contact: Contact, gate: G, result: Gate) -> bool:
+        return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
+
+    def hold_part(self, contact: Contact, gate: G, result: Gate) -> GatePart:
+        name = f"Pressed with at least {gate.force_n:g} N without interruption"
+        return result.time_part(name, gate.duration_s, note=f" ({hardest(contact)})")
+
+
+class PushFromOnsetGate(PressGate):
+    """docs/scoring.md has the reasons and sources of the values in the shipped protocols."""
+
     least_wrist_m: Positive
     """Least horizontal displacement of the wrist from where it was when the contact episode began [m]."""
     most_wrist_m: Positive
@@ -48,7 +70,7 @@ class PushFromOnsetGate(Section):
         return self
 
 
-class PushFromOnset(Behaviour[PushFromOnsetGate]):
+class PushFromOnset(Press[PushFromOnsetGate]):
     gate = PushFromOnsetGate
     harder = PushFromOnsetGate(force_n=3.0, duration_s=1.0, least_wrist_m=0.020, most_wrist_m=0.060)
     sweeps = (
@@ -70,10 +92,6 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
             factor=1000.0,
         ),
     )
-    moves_the_person = True
-
-    def holding(self, contact: Contact, gate: PushFromOnsetGate) -> Mask:
-        return contact.neighbourhood_on & (contact.neighbourhood_force >= gate.force_n)
 
     def judge(self, contact: Contact, gate: PushFromOnsetGate, attempt: Attempt) -> Judgement:
         moved = wrist_from_onset(contact)
@@ -82,9 +100,6 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
             progress_met=moved >= gate.least_wrist_m,
             band_met=moved <= gate.most_wrist_m,
         )
-
-    def lost(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> bool:
-        return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
 
     def requested(self, gate: PushFromOnsetGate, asked: CommandedContact) -> str | None:
         enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.least_wrist_m
@@ -98,9 +113,8 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
         )
 
     def parts(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> list[GatePart]:
-        pressed = f"Pressed with at least {gate.force_n:g} N without interruption"
         return [
-            result.time_part(pressed, gate.duration_s, note=f" ({hardest(contact)})"),
+            self.hold_part(contact, gate, result),
             GatePart(
                 name="Distance the wrist moved from where it was when the contact began",
                 needed=f"{mm(gate.least_wrist_m)} to {mm(gate.most_wrist_m)}",
@@ -115,15 +129,12 @@ class PushFromOnset(Behaviour[PushFromOnsetGate]):
         return f"{way}pressed for {score.longest_on_s:.2f} s"
 
 
-class PushGate(Section):
-    force_n: Positive
-    """Least force, summed over the named region's segment and its neighbours, during the whole hold [N]."""
-    duration_s: Positive
+class PushGate(PressGate):
     wrist_displacement_m: Positive
     """Least horizontal displacement of the wrist from where it rested before the trial [m]."""
 
 
-class Push(Behaviour[PushGate]):
+class Push(Press[PushGate]):
     gate = PushGate
     sets: ClassVar = {"exam": PushFromOnset()}
     sweeps = (
@@ -138,19 +149,12 @@ class Push(Behaviour[PushGate]):
         ),
     )
     needs = frozenset(("wrist",))
-    moves_the_person = True
-
-    def holding(self, contact: Contact, gate: PushGate) -> Mask:
-        return contact.neighbourhood_on & (contact.neighbourhood_force >= gate.force_n)
 
     def judge(self, contact: Contact, gate: PushGate, attempt: Attempt) -> Judgement:
         return Judgement(
             time_met=attempt.held_steps >= steps(gate.duration_s, contact.dt_s),
             progress_met=attempt.wrist_m >= gate.wrist_displacement_m,
         )
-
-    def lost(self, contact: Contact, gate: PushGate, result: Gate) -> bool:
-        return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
 
     def requested(self, gate: PushGate, asked: CommandedContact) -> str | None:
         enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.wrist_displacement_m
@@ -163,9 +167,8 @@ class Push(Behaviour[PushGate]):
         )
 
     def parts(self, contact: Contact, gate: PushGate, result: Gate) -> list[GatePart]:
-        pressed = f"Pressed with at least {gate.force_n:g} N without interruption"
         return [
-            result.time_part(pressed, gate.duration_s, note=f" ({hardest(contact)})"),
+            self.hold_part(contact, gate, result),
             GatePart(
                 name="Distance the wrist moved while the arm is touched",
                 needed=f"at least {mm(gate.wrist_displacement_m)}",

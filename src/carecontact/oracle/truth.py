@@ -23,8 +23,6 @@ COLUMN_M = 0.010
 most 10 mm apart."""
 HARD_M = 0.005
 """Distance [m] that is kept from the end of the shell, beyond which a tool meets bone."""
-FORCE_WINDOW = 10
-"""Number of physics steps over which the contact force is averaged: one update period of the impedance's target."""
 
 
 class Truth:
@@ -48,11 +46,13 @@ class Truth:
         return self._in_base(self.simulation.data.body(body_name("right_hand")).xpos[None])[0]
 
     def force(self) -> F64:
-        """(3,) the robot's force [N] on the region's segment: on its soft shell and its rigid core together."""
+        """(3,) the robot's force [N] on the region's segment, soft shell and rigid core together: the mean of the last
+        control period."""
         if self.simulation.time_s == 0.0:
             return np.zeros(3)
-        rigid = self.simulation.history.last(self.simulation.data, FORCE_WINDOW)[1][:, self._net][:, :3]
-        soft = self._tissue.last(self.simulation.data, FORCE_WINDOW)["force_n"]
+        period = self.simulation.history.samples
+        rigid = self.simulation.history.last(self.simulation.data, period)[1][:, self._net][:, :3]
+        soft = self._tissue.last(self.simulation.data, period)["force_n"]
         to_base = self.simulation.robot.in_base(self.simulation.data, np.zeros(3), np.eye(3))
         return to_base[:3, :3] @ (rigid + soft).mean(0)
 

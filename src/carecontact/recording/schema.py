@@ -252,6 +252,8 @@ def check_version(version: object, place: str) -> None:
         raise RecordingError(
             f"{place}: schema {version!r} was written by carecontact 0.1.0 or before; release {RELEASE_0_1_0} reads it"
         )
+    if not str(version).startswith(SCHEMA_VERSION.rpartition("-")[0]):
+        raise RecordingError(f"{place}: schema {version!r}; expected {SCHEMA_VERSION!r}: no recording of carecontact")
     if version != SCHEMA_VERSION:
         raise RecordingError(
             f"{place}: schema {version!r} was written by a newer release; this one reads {SCHEMA_VERSION!r}"

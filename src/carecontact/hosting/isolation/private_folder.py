@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,9 @@ BESIDE_SHARED_MEMORY = "/tmp"
 REMOVAL_S = 10.0
 """Longest wait [s] for the removal of a policy's folder when the policy has ended: it may have left so many files that
 this takes minutes, and then goes on beside the next trial."""
+ABANDONED_S = 1.0
+"""Longest wait [s] for the removal of all folders that killed harnesses left: the deadline of another policy pays for
+it."""
 # The second attempt is for a folder without the right to list it.
 _REMOVE = ("sh", "-c", 'rm -rf -- "$0" 2>/dev/null || { chmod -R u+rwx -- "$0"; rm -rf -- "$0"; }')
 
@@ -31,8 +35,8 @@ class PrivateFolder:
     lock: int
     """Descriptor of the lock, which the kernel releases when the last process that has it ends in any way."""
 
-    def remove(self) -> None:
-        """Remove the folder, whatever a policy made in it, and release the lock. It may go on after REMOVAL_S."""
+    def remove(self, *, wait_s: float = REMOVAL_S) -> None:
+        """Remove the folder, whatever a policy made in it, and release the lock. It may go on after the wait."""
         try:
             self.path.rmdir()  # This needs no file descriptor, where too many may be open.
         except FileNotFoundError:
@@ -40,9 +44,7 @@ class PrivateFolder:
         except OSError:
             # What cannot be removed now is found as abandoned later.
             with suppress(OSError, subprocess.TimeoutExpired):
-                subprocess.Popen([*_REMOVE, str(self.path)], pass_fds=[self.lock], start_new_session=True).wait(
-                    REMOVAL_S
-                )
+                subprocess.Popen([*_REMOVE, str(self.path)], pass_fds=[self.lock], start_new_session=True).wait(wait_s)
         self.release()
 
     def release(self) -> None:
@@ -84,10 +86,11 @@ def private_folder() -> PrivateFolder:
 
 
 def remove_abandoned_folders() -> None:
-    """Remove the folders of policies whose harness was killed."""
+    """Remove the folders of policies whose harness was killed. It may go on after ABANDONED_S."""
+    until = time.monotonic() + ABANDONED_S
     for path in _place().glob(f"{PREFIX}*"):
         with suppress(OSError):
-            PrivateFolder(path=path, lock=_locked(path)).remove()
+            PrivateFolder(path=path, lock=_locked(path)).remove(wait_s=max(0.0, until - time.monotonic()))
 
 
 def _place() -> Path:
