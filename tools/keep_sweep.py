@@ -5,8 +5,8 @@
 The folder is that of a finished ``carecontact sweep``. The scores of a cell become ``PROTOCOL-LEVEL/POLICY.json.gz``,
 where ``carecontact compare`` and the report find the shipped policies and the blind baselines that stand beside a run.
 Where a policy ran with several arguments on one protocol, POLICY.json.gz has the one that passed most trials, and the
-others have their arguments in the name. The table replaces what stands between TABLE_BEGINS and TABLE_ENDS in README.md
-there. The same cells give the same files.
+others have their arguments, or ``default``, in the name. The table replaces what stands between TABLE_BEGINS and
+TABLE_ENDS in README.md there. The same cells give the same files.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ def keep(sweep: Path, out: Path) -> list[Path]:
     for (protocol, policy), several in alike.items():
         best_first = sorted(several, key=lambda run: (-passed(run), run.scores[0].policy_title))
         for number, run in enumerate(best_first):
-            name = policy if number == 0 else re.sub(r"[^A-Za-z0-9._-]+", "-", run.scores[0].policy_title)
+            title = re.sub(r"[^A-Za-z0-9._-]+", "-", run.scores[0].policy_title)
+            # The title of a run without arguments is the policy's name, which is that of the best one's file.
+            name = policy if number == 0 else f"{policy}-default" if title == policy else title
             files.append(out / protocol.replace(" ", "-") / f"{name}.json.gz")
             files[-1].parent.mkdir(exist_ok=True)
             pack_results(files[-1], run)

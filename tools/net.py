@@ -23,6 +23,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
@@ -173,7 +174,11 @@ def with_kernel(tree: Path) -> Path:
         for library in (ROOT / KERNEL).glob("libcarecontact_kernel.*"):
             shutil.copy2(library, tree / KERNEL)
     else:
-        subprocess.run([sys.executable, str(tree / "tools" / "compile_kernel.py")], cwd=tree, check=True)
+        # The build's requirements, among them the compiler, are not in this interpreter's environment.
+        build = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]
+        needs = [word for package in build for word in ("--with", package)]
+        uv = [str(ROOT / ".venv-uv" / "bin" / "uv"), "run", "--no-project", "--quiet", "--python", sys.executable]
+        subprocess.run([*uv, *needs, "python", str(tree / "tools" / "compile_kernel.py")], cwd=tree, check=True)
     return tree
 
 

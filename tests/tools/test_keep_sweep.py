@@ -81,3 +81,11 @@ def test_a_page_without_a_place_for_the_table_stays_as_it_is(
     assert main([str(sweep), "--out", str(kept)]) == 2
     assert "no place for the table" in capsys.readouterr().err
     assert (kept / "README.md").read_text() == "# Results\n"
+
+
+def test_a_run_without_arguments_does_not_replace_a_better_one_with_some(sweep: Path, kept: Path) -> None:
+    cell(sweep, "d", "mean-person", 0)
+    main([str(sweep), "--out", str(kept)])
+    folder = kept / "bathing-wide-v2-draft-L2"
+    assert read_scores(folder / "mean-person.json.gz").scores[0].policy_title == "mean-person person=better"
+    assert read_scores(folder / "mean-person-default.json.gz").scores[0].policy_title == "mean-person"
