@@ -48,9 +48,10 @@ def keep(sweep: Path, out: Path) -> list[Path]:
     for (protocol, policy), several in alike.items():
         best_first = sorted(several, key=lambda run: (-passed(run), run.scores[0].policy_title))
         for number, run in enumerate(best_first):
-            title = re.sub(r"[^A-Za-z0-9._-]+", "-", run.scores[0].policy_title)
-            # The title of a run without arguments is the policy's name, which is that of the best one's file.
-            name = policy if number == 0 else f"{policy}-default" if title == policy else title
+            title = run.scores[0].policy_title
+            if title == policy:
+                title += " default"  # without arguments; else it would replace the best one's file
+            name = policy if number == 0 else re.sub(r"[^A-Za-z0-9._-]+", "-", title)
             files.append(out / protocol.replace(" ", "-") / f"{name}.json.gz")
             files[-1].parent.mkdir(exist_ok=True)
             pack_results(files[-1], run)
