@@ -65,9 +65,11 @@ def passed(run: RunScores) -> int:
 def table(runs: list[RunScores]) -> str:
     """Return a row for each policy with its arguments, and a column for each protocol and level."""
     cells = {(run.scores[0].policy_title, run.scores[0].protocol_id): run for run in runs}
-    policies, protocols = (sorted({key[place] for key in cells}) for place in (0, 1))
+    policies = {title for title, _ in cells}
+    # The exam has levels and comes first: a page may cut wide tables off at the right.
+    protocols = sorted({name for _, name in cells}, key=lambda name: (" " not in name, name))
     total = {policy: sum(passed(run) for (title, _), run in cells.items() if title == policy) for policy in policies}
-    lines = [f"| policy | {' | '.join(f'`{name}`' for name in protocols)} |", "|---" * (1 + len(protocols)) + "|"]
+    lines = [f"| policy | {' | '.join(protocols)} |", "|---" * (1 + len(protocols)) + "|"]
     for title in sorted(policies, key=lambda policy: (-total[policy], policy)):
         name, _, arguments = title.partition(" ")
         row = (cells.get((title, protocol)) for protocol in protocols)

@@ -51,7 +51,7 @@ def test_what_is_kept_stands_beside_a_run_of_the_level(
         assert main([str(sweep), "--out", str(kept)]) == 0
         assert "3 files of scores" in capsys.readouterr().out
         assert (kept / "README.md").read_text() == (
-            f"# Results\n\n{TABLE_BEGINS}| policy | `{LEVEL}` |\n|---|---|\n"
+            f"# Results\n\n{TABLE_BEGINS}| policy | {LEVEL} |\n|---|---|\n"
             "| `mean-person` person=better | 2 (100 %) |\n| `state-machine` | 2 (100 %) |\n"
             f"| `mean-person` person=worse | 1 (50 %) |\n{TABLE_ENDS}\nThe end.\n"
         )
