@@ -177,7 +177,10 @@ def with_kernel(tree: Path) -> Path:
         # The build's requirements, among them the compiler, are not in this interpreter's environment.
         build = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]
         needs = [word for package in build for word in ("--with", package)]
-        uv = [str(ROOT / ".venv-uv" / "bin" / "uv"), "run", "--no-project", "--quiet", "--python", sys.executable]
+        found = shutil.which("uv", path=f"{ROOT / '.venv-uv' / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}")
+        if found is None:
+            sys.exit("net: uv compiles the tissue of another revision: run `make env`, which brings it, first")
+        uv = [found, "run", "--no-project", "--quiet", "--python", sys.executable]
         subprocess.run([*uv, *needs, "python", str(tree / "tools" / "compile_kernel.py")], cwd=tree, check=True)
     return tree
 

@@ -10,7 +10,7 @@ from carecontact.contract.policy import CAMERAS
 from carecontact.contract.protocol import SEGMENT_PARTS, Protocol, Variation
 from carecontact.errors import ConfigError
 from carecontact.protocols import DEFAULT_PROTOCOL, load_levels, load_protocol, shipped_protocols
-from carecontact.protocols.files import OF_RELEASE_0_1_0
+from carecontact.protocols.files import EARLIER
 from carecontact.protocols.lock import read_lock
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS, STANDARD_REGIONS
@@ -41,10 +41,10 @@ def test_a_draft_says_so_in_plain_words(protocol: Protocol) -> None:
     assert protocol.frozen or protocol.description.endswith(sentence)
 
 
-@pytest.mark.parametrize("earlier", sorted(OF_RELEASE_0_1_0))
-def test_an_earlier_protocol_names_the_release_that_has_it(earlier: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("earlier", sorted(EARLIER))
+def test_an_earlier_protocol_names_the_commit_that_has_it(earlier: str, tmp_path: Path) -> None:
     assert earlier not in shipped_protocols()
-    message = f"no protocol named '{earlier}': release 0.1.0 has it"
+    message = f"no protocol named '{earlier}': commit {EARLIER[earlier]} has it"
     with pytest.raises(ConfigError, match=message):
         load_protocol(earlier)
     heir = tmp_path / "mine.toml"

@@ -78,7 +78,7 @@ class Family:
         slope = ROUND * (bend if bend > 0 else -np.expm1(-bend))
         square = ROUND * max(bend, 0.0) ** 2 + np.expm1(of.get("rise", 0.0))
         # ``Tissue`` refuses anchors that are much softer than the contact layer.
-        softest = 1.01 * (self.base.contact_n_m3 or 0.0) / LARGEST_CONTACT
+        softest = 1.01 * self.base.contact_n_m3 / LARGEST_CONTACT
         a = max(level / self.depth_m / (1 - slope + square / 3), softest)
         if self.damping:
             half, growth = np.exp(of["damping"]), of.get("growth", 0.0)

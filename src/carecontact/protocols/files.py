@@ -7,8 +7,13 @@ from pathlib import Path
 
 from carecontact.errors import ConfigError, UnknownNameError
 
-OF_RELEASE_0_1_0 = frozenset(("bathing-v1", "bathing-v2", "bathing-moved-v1", "bathing-wide-v1", "bathing-droid-v1"))
-"""Protocols that this release no longer has: a release reproduces its own results and no earlier ones."""
+EARLIER = {
+    "bathing-v1": "7076c1d2648cc214270a946eadef89bfea3d74bf",
+    "bathing-moved-v1": "5eab211a09649f150689eb92f0bf99efe21019bb",
+    "bathing-v2": "663c7e2317bf04e7b79c6a85d596936bd4fd816c",
+    "bathing-wide-v1": "663c7e2317bf04e7b79c6a85d596936bd4fd816c",
+}
+"""Protocol that this release no longer has -> the commit that reproduces its results (CHANGELOG.md)."""
 
 
 def shipped_protocols() -> list[str]:
@@ -23,9 +28,9 @@ def protocol_file(name_or_path: str) -> Path:
     Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing and for a protocol of
     an earlier release.
     """
-    if name_or_path in OF_RELEASE_0_1_0:
+    if commit := EARLIER.get(name_or_path):
         raise ConfigError(
-            f"no protocol named {name_or_path!r}: release 0.1.0 has it, and reproduces its results; valid here: "
+            f"no protocol named {name_or_path!r}: commit {commit} has it, and reproduces its results; valid here: "
             f"{', '.join(shipped_protocols())}"
         )
     if name_or_path in shipped_protocols():

@@ -6,7 +6,7 @@ import tomllib
 from typing import Any
 
 from carecontact.errors import ConfigError, did_you_mean
-from carecontact.protocols.files import OF_RELEASE_0_1_0, protocol_file, shipped_protocols
+from carecontact.protocols.files import EARLIER, protocol_file, shipped_protocols
 
 Table = dict[str, Any]
 
@@ -33,7 +33,7 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
         raise ConfigError(f"{name_or_path}: base: expected the id of a protocol or a .toml file, got {base!s:.80}")
     if base.endswith(".toml"):
         base = str(path.parent / base)
-    elif base not in shipped_protocols() and base not in OF_RELEASE_0_1_0:
+    elif base not in shipped_protocols() and base not in EARLIER:
         valid = ", ".join([*shipped_protocols(), "FILE.toml"])
         raise ConfigError(
             f"{name_or_path}: base: no protocol named {base!r}{did_you_mean(base, shipped_protocols())}; valid: {valid}"

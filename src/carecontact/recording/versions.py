@@ -17,9 +17,9 @@ SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers",
 
 DECLARED = {"world": "1", "kernel": "1", "perception": "1", "noise": "1"}
 """Part of the simulation -> its declared version, by which a recording says in which world its trial ran. The version
-of a part is raised with every change that moves a number by more than rounding; tests/golden holds reference trials of
-this version to a relative 1e-9, with equal verdicts. Bytes that depend on the machine, such as those of the compiled
-model, are provenance and decide nothing: linear algebra rounds differently on another processor."""
+of a part is raised with every change that moves a number by more than rounding; tests/golden/test_declared.py presses
+the person and compares with the numbers of this version, to a relative 5e-4. Bytes that depend on the machine, such as
+those of the compiled model, are provenance and decide nothing: linear algebra rounds differently elsewhere."""
 
 
 def trial_versions(protocol: Protocol) -> dict[str, str]:

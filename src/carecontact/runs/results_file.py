@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import BaseModel, BeforeValidator, FailFast, Field, ValidationError
 
 from carecontact.errors import ConfigError
+from carecontact.recording.schema import RELEASE_0_1_0
 from carecontact.recording.writer import replace_file
 from carecontact.runs.contradiction import contradiction
 from carecontact.runs.pooling import check_one_run
@@ -95,7 +96,8 @@ def read_results(path: Path | str) -> RunScores:
     except ValidationError as error:
         first = error.errors()[0]
         why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
-        raise ConfigError(f"{path} is damaged or of another release ({why})") from error
+        told = f"{path} is damaged or of another release ({why}); release {RELEASE_0_1_0} reads results up to its own"
+        raise ConfigError(told) from error
     except ValueError as error:
         raise ConfigError(f"{path} is damaged or of another release (not JSON: {error})") from error
     if fault := _fault(stored):

@@ -64,7 +64,7 @@ class Completion(BaseModel):
     """The model as the endpoint reports it, perhaps more exactly than it was requested; ``authored`` if a person wrote
     the text."""
     endpoint: Name | None = None
-    """``host`` or ``host:port`` that answered; None if a person wrote the text, or in older recordings."""
+    """``host`` or ``host:port`` that answered; None if a person wrote the text."""
     sent: dict[Name, float | int] | None = None
     """Sampling parameters that the endpoint accepted, which may differ from the request's."""
 
@@ -74,8 +74,8 @@ class Completion(BaseModel):
         return hashlib.sha256(json.dumps([self.text, self.refusal]).encode()).hexdigest()
 
     @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the fields that only an endpoint's answers have, so that other files stay what they were."""
+    def _without_none(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the fields that only an endpoint's answers have."""
         return {k: v for k, v in handler(self).items() if v is not None or k not in ("endpoint", "sent")}
 
 
