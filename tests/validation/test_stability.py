@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from carecontact.kernel.readings import HELD_SIZE, POINTS_EACH
+from carecontact.sim.cartesian_control import CartesianControl
 from carecontact.sim.simulation import Simulation
+from carecontact.validation import stability
 from carecontact.validation.stability import random_trial
 from carecontact.validation.subject import Subject
 
@@ -23,6 +25,13 @@ def test_a_random_trial_is_whole_if_its_whole_state_is_finite(subject: Subject, 
     simulation = subject.hovering("forearm")
     if spoilt:
         simulation.data.plugin_state[first_sum_of_the_cells(simulation, "forearm")] = np.nan
-    peak, whole = random_trial(simulation, "forearm", np.random.default_rng(1))
+    peak, _, whole = random_trial(simulation, "forearm", np.random.default_rng(1))
     assert whole is not spoilt
     assert np.isnan(peak) == spoilt
+
+
+def test_a_robot_that_is_not_held_back_fails(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert stability.run(subject, quick=True).passed
+    monkeypatch.setattr(CartesianControl, "_hold_back", lambda self: None)
+    missed = stability.run(subject, quick=True).missed
+    assert [measure.name for measure in missed] == ["share of trials with a tool faster than 0.4 m/s"]

@@ -10,6 +10,11 @@ import numpy.typing as npt
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure
 
+STOPPED_OVER = 1.6
+"""The robot stops itself above this multiple of the speed at which its target moves: 0.4 m/s where that is 0.25 m/s
+(chosen). The impedance holds the tool to 1.1 times that speed, and a torque about the tool or what it touches adds to
+that. With the declared 10 kg, 0.4 m/s are 0.8 J; a ball goes through the skin of a heavy abdomen from 0.91 J on."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
@@ -46,6 +51,22 @@ def cut_by_solver(warnings: list[str]) -> Ended | None:
         return None
     failure = Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")
     return Ended(reason="safety_truncation", failure=failure)
+
+
+def cut_by_tool(speed_m_s: npt.NDArray[np.float64], protocol: Protocol) -> Ended | None:
+    """Return how a trial ends in which a real robot would have stopped itself; None while the tool was slow enough.
+
+    No period is recorded in which the tool was faster: a real robot stops at that moment (libfranka calls this
+    ``cartesian_velocity_violation``), and what the tool does after it would be no measurement.
+
+    Args:
+        speed_m_s: (n,) of the tool in n steps.
+    """
+    limit, fastest = STOPPED_OVER * protocol.physics.max_tcp_speed_m_s, float(speed_m_s.max())
+    if fastest <= limit:
+        return None
+    message = f"the tool moved at {fastest:.2f} m/s, and the robot stops itself above {limit:.2f} m/s"
+    return Ended(reason="safety_truncation", failure=Failure(kind="tool_speed", message=message))
 
 
 def cut_by_speed(fastest: tuple[int, float] | None) -> Ended | None:

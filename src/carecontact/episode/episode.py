@@ -33,7 +33,7 @@ from carecontact.episode.camera_poses import CameraPoses
 from carecontact.episode.cells import CellLog
 from carecontact.episode.drawn import like
 from carecontact.episode.drivers import Driver, driver_of
-from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed
+from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed, cut_by_tool
 from carecontact.episode.header import header_of
 from carecontact.episode.life import LifeLog
 from carecontact.episode.log import TrialLog
@@ -48,6 +48,7 @@ from carecontact.observation.keypoints import MediaPipePose
 from carecontact.recording.provenance import ARITHMETIC, RENDERER, arithmetic
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
 from carecontact.regions import REGIONS
+from carecontact.sim.cartesian_control import CartesianControl
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import lengths
@@ -360,6 +361,11 @@ class Episode:
             steps -= count
             if (cut := cut_by_solver(simulation.solver_warnings())) is not None:
                 return cut
+            # A joint controller has limits of its own.
+            if isinstance(simulation.control, CartesianControl):
+                speed = np.concatenate([s.tcp_speed for s in samples])
+                if (cut := cut_by_tool(speed, self.protocol)) is not None:
+                    return cut
             self.log.add_period(
                 samples, time_s=simulation.time_s, indentation_m=simulation.indentation(),
                 target_in_base=simulation.control.target_in_base, cells=self._cells.period() | self._life.period(),

@@ -30,9 +30,9 @@ RELEASE_0_1_0 = "0.1.0 (commit 663c7e2317bf04e7b79c6a85d596936bd4fd816c)"
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
-CUTS = ("force", "solver", "joint_speed")
+CUTS = ("force", "solver", "joint_speed", "tool_speed")
 """Kinds of the failure of a trial that the benchmark stopped: a force above the limit, diverging physics, and a joint
-of the robot that was faster than its controller allows."""
+or the tool of the robot that was faster than its controller allows."""
 KILLED, POLICY_KILLED = "signal", "killed"
 """Kinds of the failure of a trial that lost its process, or its policy's, to a signal: of the harness error, if the
 policy did not run, and of the process failure, if it did. The same command repeats such a trial by itself."""

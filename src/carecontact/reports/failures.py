@@ -17,7 +17,8 @@ MODE_MEANING = {
         "the policy did not start, died, hung or answered wrongly, or its program or its language backend failed"
     ),
     "safety_truncation": (
-        "the benchmark stopped the trial, because a force exceeded the truncation limit or the solver failed"
+        "the benchmark stopped the trial, because a force exceeded the truncation limit, the robot was too fast or the "
+        "solver failed"
     ),
     "no_target_contact": "no contact with the person was strong and long enough to count",
     "off_target_contact": "the person was touched, but never on the named region",

@@ -20,6 +20,10 @@ from carecontact.sim.impedance import (
 
 F64 = npt.NDArray[np.float64]
 
+HELD_TO = 1.1
+"""The law holds the tool to this multiple of the speeds at which its target moves (chosen). With a tenth to spare, the
+friction of the robot's joints does not keep the tool behind a target at full speed."""
+
 
 class CartesianControl:
     """Commands the six springs of ``world.robot``; ``refresh`` is called once in every target period."""
@@ -31,13 +35,17 @@ class CartesianControl:
         self._tcp = model.site(PANDA.tcp_site).id
         self._mocap = int(model.body_mocapid[model.body("tcp_target").id])
         self._interpolator = TargetInterpolator(protocol.physics)
+        self._fastest = HELD_TO * np.array(
+            [protocol.physics.max_tcp_speed_m_s, protocol.physics.max_tcp_rotation_rad_s]
+        )
         self.feedforward: F64 = np.zeros(6)
         """(6,) force [N] and torque [N m] in the axes of the tool that are added to the springs' wrench. The clamp of
         each axis holds for the sum."""
         # Simulations may share a compiled scene, and another one may have ended with its feedforward in force.
         model.actuator_biasprm[self._rows, 0] = 0.0
         impedance = protocol.impedance
-        self.set_gains(np.repeat([impedance.translational_n_m, impedance.rotational_nm_rad], 3))
+        set_gains(model, np.repeat([impedance.translational_n_m, impedance.rotational_nm_rad], 3), 1.0, protocol)
+        self._damping = -model.actuator_biasprm[self._rows, 2]
 
     @property
     def target_in_base(self) -> F64:
@@ -59,8 +67,10 @@ class CartesianControl:
         self._interpolator.set_goal(pose_in_base, period_s)
 
     def set_gains(self, stiffness: F64, damping_ratio: float = 1.0) -> None:
-        """See ``impedance.set_gains``."""
+        """See ``impedance.set_gains``. Needs current kinematics."""
         set_gains(self._model, stiffness, damping_ratio, self._protocol)
+        self._damping = -self._model.actuator_biasprm[self._rows, 2]
+        self._hold_back()
 
     def refresh(self) -> None:
         """Advance the target by one target period, and command the posture and the feedforward for that period."""
@@ -69,3 +79,18 @@ class CartesianControl:
         # The springs act along the target's axes; the tool's differ from them by what the tool lags behind.
         turn = matrix_from_quat(self._data.mocap_quat[self._mocap]).T @ self._data.site_xmat[self._tcp].reshape(3, 3)
         self._model.actuator_biasprm[self._rows, 0] = (self.feedforward.reshape(2, 3) @ turn.T).ravel()
+        self._hold_back()
+
+    def _hold_back(self) -> None:
+        """Damp every axis at least so much that the force of springs and feedforward, before its clamp, drives the tool
+        no faster than HELD_TO allows; likewise the torque. A target at its full speed asks for less than critical
+        damping gives, so that only a tool far from its target, a feedforward without a spring or little damping is held
+        back (a saturation of speed, as in Khatib 1987, IEEE J Robot Autom 3:43)."""
+        model, data = self._model, self._data
+        off, quat, target_quat = np.zeros(6), np.zeros(4), data.mocap_quat[self._mocap]
+        off[:3] = matrix_from_quat(target_quat).T @ (data.site_xpos[self._tcp] - data.mocap_pos[self._mocap])
+        mujoco.mju_mat2Quat(quat, data.site_xmat[self._tcp])
+        mujoco.mju_subQuat(off[3:], quat, target_quat)
+        wrench = model.actuator_biasprm[self._rows, 0] - model.actuator_gainprm[self._rows, 0] * off
+        least = np.repeat(np.linalg.norm(wrench.reshape(2, 3), axis=1) / self._fastest, 3)
+        model.actuator_biasprm[self._rows, 2] = -np.maximum(self._damping, least)

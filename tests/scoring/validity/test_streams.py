@@ -174,7 +174,7 @@ def test_an_action_of_a_trial_without_samples_is_at_its_start() -> None:
             250.0,
             "safety_truncation",
             "died",
-            r"'safety_truncation' with failure 'died'; valid: force, solver, joint_speed",
+            r"'safety_truncation' with failure 'died'; valid: force, solver, joint_speed, tool_speed",
         ),
     ],
 )
