@@ -72,7 +72,7 @@ def allowances(made: Sheet) -> dict[float, float]:
     """Return number -> allowance [m] of the points that touch (``c/region.h``)."""
     state = made.data.plugin_state
     first = 3 + 6 * len(made.felt.places)
-    rows = state[first : first + 9 * int(state[2])].reshape(-1, 9)
+    rows = state[first : first + 12 * int(state[2])].reshape(-1, 12)
     return dict(zip(rows[:, 0].tolist(), rows[:, 5].tolist(), strict=True))
 
 

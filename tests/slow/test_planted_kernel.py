@@ -48,6 +48,11 @@ MUTANTS_OF_THE_CONTACT = {
     ),
 }  # fmt: skip
 """The ledger of ``energy`` finds them."""
+OLD_BRAKE = (
+    "entry.c", "c->drag[k] = falls * c->bristle[k] / BRISTLE;",
+    "c->drag[k] = dot(way, way) > 1e-18 ? falls * way[k] / sqrt(dot(way, way)) : 0;",
+)  # fmt: skip
+"""Full against every step's way, also where the tool stands: it turns round in every step there."""
 CODE = """
 import sys
 from pathlib import Path
@@ -55,11 +60,18 @@ from carecontact.kernel import binary
 binary.FOLDER = Path(sys.argv[1])
 binary.SOURCES = binary.FOLDER / "c"
 from carecontact.protocols import load_protocol
-from carecontact.validation import ledger
+from carecontact.validation import ledger, smoothness
+from carecontact.validation.passive_response import lock_arm
 from carecontact.validation.run import validate
 from carecontact.validation.subject import Subject
 protocol, check = load_protocol(), sys.argv[2]
-if check in protocol.regions:
+if check == "turning":
+    simulation = Subject(protocol).hovering("abdomen")
+    lock_arm(simulation)
+    done = smoothness.scrub(simulation, 15.0, strokes=2, region="abdomen")
+    measures = done.measures("abdomen", wanted=15.0, friction=protocol.person.tissue["abdomen"].friction)
+    print(*(m.name for m in measures if m.met is False), sep="\\n")
+elif check in protocol.regions:
     measures = ledger.measures(Subject(protocol), check, quick=False)
     print(*(m.name for m in measures if m.decides and m.met is False), sep="\\n")
 else:
@@ -70,7 +82,7 @@ else:
 
 def found_by(folder: Path, check: str) -> list[str]:
     """What a check misses, or why it could not be finished, with the binary in a folder. A region in place of a check
-    stands for the ledger of ``energy`` there, in its full form."""
+    stands for the ledger of ``energy`` there, in its full form, and "turning" for a scrub of the abdomen with 15 N."""
     done = subprocess.run(
         [sys.executable, "-c", CODE, str(folder), check], capture_output=True, text=True, check=True, cwd=ROOT
     )
@@ -120,7 +132,19 @@ def test_a_wrong_formula_of_the_contact_is_found_in_the_ledger(
     assert any(told in line for line in found_by(folder, region))
 
 
-@pytest.mark.parametrize("check", ["declared", "force-balance", "abdomen", "upper_arm"])
+def test_a_brake_that_does_not_hold_is_found_where_the_tool_turns_round(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, right, wrong = OLD_BRAKE
+    planted(folder / "c" / file, right, wrong)
+    compiled(folder, monkeypatch)
+    assert found_by(folder, "turning") == [
+        "abdomen: force noise where it turns round above 20 Hz, rms",
+        "abdomen: force noise along the skin where it turns round above 20 Hz, rms",
+    ]
+
+
+@pytest.mark.parametrize("check", ["declared", "force-balance", "abdomen", "upper_arm", "turning"])
 def test_the_right_formulas_compiled_alike_are_not_blamed(
     check: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -85,13 +85,29 @@ def test_a_rattling_scrub_fails() -> None:
     """Its force swings by 1 N at 50 Hz."""
     time = np.arange(1000) * 0.002
     done = Scrub(
-        time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), steady=np.ones(1000, bool), friction=np.full(9, 0.5),
-        sliding=np.ones(9),
+        time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), along_n=np.zeros((1000, 2)), steady=time > 0.5,
+        turning=time < 0.1, friction=np.full(9, 0.5), sliding=np.ones(9),
     )  # fmt: skip
     measures = tuple(done.measures("abdomen", wanted=15.0, friction=0.5))
     result = CheckResult(check="smoothness", title="made up", measures=measures)
-    assert [m.name for m in result.missed] == ["abdomen: force noise above 20 Hz, rms"]
+    assert [m.name for m in result.missed] == [
+        "abdomen: force noise above 20 Hz, rms", "abdomen: force noise where it turns round above 20 Hz, rms",
+    ]  # fmt: skip
     assert not result.passed
+
+
+def test_a_force_that_turns_from_side_to_side_fails_though_its_size_is_steady() -> None:
+    """Where the tool turns round, and in a slow stroke."""
+    time = np.arange(1000) * 0.002
+    along = np.stack([np.zeros(1000), np.where(time < 0.5, 0.3 * np.sin(2 * np.pi * 100 * time), 0.0)], 1)
+    done = Scrub(
+        time_s=time, force_n=np.full(1000, 15.0), along_n=along, steady=time > 1.0, turning=time < 0.5,
+        friction=np.full(9, 0.5), sliding=np.ones(9),
+    )  # fmt: skip
+    missed = [m for m in done.measures("abdomen", wanted=15.0, friction=0.5) if m.met is False]
+    assert [m.name for m in missed] == ["abdomen: force noise along the skin where it turns round above 20 Hz, rms"]
+    assert missed[0].value == pytest.approx(0.3 / np.sqrt(2), rel=0.05)
+    assert [m.value for m in done.slow_measures("abdomen")] == pytest.approx([0.0, 0.3 / np.sqrt(8)], abs=0.01)
 
 
 @pytest.mark.parametrize(("periods", "missed"), [(2, set()), (5, {"share"}), (9, {"share", "deviation"})])
@@ -99,7 +115,8 @@ def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(perio
     """In so many of nine periods, no cell slides: that counts as not sliding, and not as friction."""
     still = np.arange(9) < periods
     done = Scrub(
-        time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), steady=np.ones(1000, bool),
+        time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), along_n=np.zeros((1000, 2)),
+        steady=np.ones(1000, bool), turning=np.ones(1000, bool),
         friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
     )  # fmt: skip
     measures = done.measures("abdomen", wanted=15.0, friction=0.5)
@@ -110,7 +127,8 @@ def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
     time = np.arange(100) * 0.002
     none = np.zeros(0)
     still = Scrub(
-        time_s=time, force_n=np.full(100, 5.0), steady=np.zeros(100, bool), friction=none, sliding=none
+        time_s=time, force_n=np.full(100, 5.0), along_n=np.zeros((100, 2)), steady=np.zeros(100, bool),
+        turning=np.ones(100, bool), friction=none, sliding=none,
     )  # fmt: skip
     missed = {m.name for m in still.measures("abdomen", wanted=5.0, friction=0.5)
               if m.met is False}  # fmt: skip
@@ -201,14 +219,22 @@ def rigid_contacts(simulation: Simulation) -> set[str]:
     return {name for name in names if name.startswith("human_hull_")}
 
 
-def test_every_region_is_scrubbed_with_both_forces(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, float]] = []
+def test_every_region_is_scrubbed_with_both_forces_and_stroked_slowly(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, float, float]] = []
 
-    def noted(simulation: object, newton: float, *, strokes: int, region: str) -> Scrub:
-        asked.append((region, newton))
+    def noted(
+        simulation: object, newton: float, *, strokes: int, region: str, speed_m_s: float = smoothness.SPEED_M_S
+    ) -> Scrub:
+        asked.append((region, newton, speed_m_s))
         one = np.ones(100)
-        return Scrub(time_s=np.arange(100) * 0.002, force_n=one, steady=one > 0, friction=one, sliding=one)
+        return Scrub(
+            time_s=np.arange(100) * 0.002, force_n=one, along_n=np.zeros((100, 2)), steady=one > 0, turning=one > 0,
+            friction=one, sliding=one,
+        )  # fmt: skip
 
     monkeypatch.setattr(smoothness, "scrub", noted)
     smoothness.run(subject, quick=False)
-    assert asked == [(region, newton) for region in subject.regions() for newton in (5.0, 15.0)]
+    each = ((5.0, 0.1), (15.0, 0.1), (8.0, 0.01), (8.0, 0.02), (8.0, 0.03))
+    assert asked == [(region, *how) for region in subject.regions() for how in each]

@@ -21,6 +21,8 @@ REST_S, RISE_S, HOLD_S = 0.3, 0.05, 0.6
 """Time before a drag begins, time in which it comes to its speed, and time of a press without a drag."""
 DRAG_NS_M = 100.0
 """Damper that keeps a dragged tool at its speed."""
+GLIDE_N_M = 2000.0
+"""Spring that pulls a slow tool besides: at 10 mm/s the damper alone pulls with at most 1 N, and the tool stands."""
 UNEXPLAINED_PERCENT, GAIN_PERCENT = 2.0, 1.0
 
 
@@ -119,6 +121,19 @@ def drag(subject: Subject, region: str, tool: Tool, *, press_n: float, speed_m_s
     return _ledger(rig, force, REST_S + DRAG_WAY_M / speed_m_s if speed_m_s else HOLD_S)
 
 
+def glide(subject: Subject, region: str, tool: Tool, *, press_n: float, speed_m_s: float, dt_s: float) -> Ledger:
+    """Press a tool of 1 kg as ``drag`` does, and pull it slowly by DRAG_WAY_M along the region, through a spring."""
+    rig = Rig(subject, region, tool, joints="slides", dt_s=dt_s)
+    rig.reset(position=(DRAG_FROM_M, GAP_M + rig.clear_of_m(DRAG_FROM_M)))
+
+    def force(velocity: Array) -> Array:
+        gone = max(0.0, rig.data.time - REST_S)
+        behind = DRAG_FROM_M + speed_m_s * gone - rig.data.qpos[0]
+        return np.array([GLIDE_N_M * behind + DRAG_NS_M * ((gone > 0) * speed_m_s - velocity[0]), -press_n])
+
+    return _ledger(rig, force, REST_S + DRAG_WAY_M / speed_m_s)
+
+
 def _ledger(rig: Rig, force: Callable[[Array], Array], seconds: float) -> Ledger:
     """Simulate, and keep the ledger at the beginning of every step.
 
@@ -170,10 +185,15 @@ def pressed(tool: Tool, press_n: float) -> Hard:
                 contact=partial(drag, press_n=press_n, speed_m_s=0.0))  # fmt: skip
 
 
+SLOW_CAP = Hard(
+    tool=CAP, how="pressed with 12 N and pulled at 0.01 m/s", contact=partial(glide, press_n=12.0, speed_m_s=0.01)
+)  # fmt: skip
 PILE = replace(PAD, name="pad of pile", give_m3_n=8e-7)
 """The pad, covered with a pile twice as soft as the wash mitt's, so that a large share of the energy is in the contact
 layer."""
-OF_THE_LAYER = {"abdomen": (dragged(CAP, 10.0, 0.3), dragged(PAD, 7.0, 0.1)), "upper_arm": (pressed(PILE, 12.0),)}
+OF_THE_LAYER = {
+    "abdomen": (dragged(CAP, 10.0, 0.3), dragged(PAD, 7.0, 0.1), SLOW_CAP), "upper_arm": (pressed(PILE, 12.0),),
+}  # fmt: skip
 """Region -> contacts that judge the layer that stiffens and the skin that is let in. In the drags, skin comes to lie
 deep in the tool without having been pressed there: without the brake of the tool, the cap's has 20 to 30 % more energy
 than was put in. The pile is compressed far beyond where it is linear: with the energy of a linear layer, 4 % is

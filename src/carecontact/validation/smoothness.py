@@ -1,4 +1,5 @@
-"""Tests that a tool that scrubs a region glides: its force neither rattles nor drops out for single steps.
+"""Tests that a tool that scrubs a region glides: its force neither rattles nor drops out for single steps, at speed,
+where the tool turns round, and where it goes slowly.
 
 The arm is held, as a patient may hold it: a loose arm would move with a firm tool, and nothing would slide. Sliding
 skin and tool have the friction that the protocol declares. Skin that sticks to the tool has less: soft tissue shears by
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
 from carecontact.kernel.readings import Cells
+from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
 from carecontact.scoring.filters import low_pass
 from carecontact.sim.simulation import Samples, Simulation
@@ -32,6 +34,10 @@ if TYPE_CHECKING:
 TITLE = "Smoothness of scrubbing"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
 SPEED_M_S, STROKES, QUICK_STROKES = 0.10, 4, 2
+SLOW_M_S, SLOW_N, SLOW_STROKES = (0.010, 0.020, 0.030), 8.0, 1
+"""Of the slow strokes, which are not part of the short form."""
+TURNING_M_S = 0.015
+"""Speed below which the tool counts as turning round, and for a moment as standing."""
 HALF_WAY_M = 0.050
 """How far the tool goes to each side of the stroke's middle, where there is room for it."""
 LEAD_M, LONGEST_LEAD_M = 0.022, 0.10
@@ -55,8 +61,12 @@ FRICTION_LIMIT_PERCENT, SLIDING_LIMIT_PERCENT = 2.0, 50.0
 class Scrub:
     time_s: Array
     force_n: Array
+    along_n: Array
+    """(n, 2) horizontal part of the force."""
     steady: npt.NDArray[np.bool_]
     """(n,) whether the tool moves at speed."""
+    turning: npt.NDArray[np.bool_]
+    """(n,) whether it moves at less than TURNING_M_S."""
     friction: Array
     """(k,) ratio of tangential to normal force of the cells that the tool slides over, in every target period at
     speed; NaN where it slides over none."""
@@ -72,12 +82,13 @@ class Scrub:
             friction: the declared coefficient.
         """
         time, force, steady = self.time_s, self.force_n, self.steady
-        high = force - low_pass(force, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / (time[1] - time[0]), zero_phase=True)
-        noise, mean = (high[steady].std(), force[steady].mean()) if steady.any() else (np.nan, np.nan)
+        mean = force[steady].mean() if steady.any() else np.nan
         rubbed = self.friction[~np.isnan(self.friction)]
         rubs, slides = (np.median(of) if of.size else np.nan for of in (rubbed, self.sliding))
         return [
-            Measure(name=f"{name}: force noise above 20 Hz, rms", value=float(noise), unit="N", limit=NOISE_LIMIT_N),
+            self._noise(name, "", force, steady),
+            self._noise(name, " where it turns round", force, self.turning),
+            self._noise(name, " along the skin where it turns round", self.along_n, self.turning),
             Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
             Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
                     value=float(100 * abs(mean / wanted - 1))),
@@ -88,6 +99,20 @@ class Scrub:
             Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
                     limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1))),
         ]  # fmt: skip
+
+    def slow_measures(self, name: str) -> list[Measure]:
+        """Return what a slow stroke measured, its turns included: how much its force rattles."""
+        always = np.ones(len(self.time_s), bool)
+        return [self._noise(name, "", self.force_n, always), self._noise(name, " along the skin", self.along_n, always)]
+
+    def _noise(self, name: str, where: str, force_n: Array, counts: npt.NDArray[np.bool_]) -> Measure:
+        """Measure the noise of a force (n,) or (n, 2), of a vector both components together."""
+        sample_hz = 1 / (self.time_s[1] - self.time_s[0])
+        parts = force_n.reshape(len(force_n), -1).T
+        high = [x - low_pass(x, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=sample_hz, zero_phase=True) for x in parts]
+        rms = np.sqrt(sum(x[counts].var() for x in high)) if counts.any() else np.nan
+        return Measure(name=f"{name}: force noise{where} above 20 Hz, rms", value=float(rms), unit="N",
+                       limit=NOISE_LIMIT_N)  # fmt: skip
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -102,6 +127,11 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                 f"{region} scrubbed with {wanted:.0f} N", wanted=wanted, friction=subject.tissue(region).friction,
             )  # fmt: skip
             curves[f"{region}/{wanted:.0f} N"] = np.stack([done.time_s, done.force_n, done.steady.astype(np.float64)])
+        for speed in () if quick else SLOW_M_S:
+            simulation = subject.hovering(region)
+            lock_arm(simulation)
+            done = scrub(simulation, SLOW_N, strokes=SLOW_STROKES, region=region, speed_m_s=speed)
+            measures += done.slow_measures(f"{region} stroked at {1000 * speed:.0f} mm/s with {SLOW_N:.0f} N")
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -120,7 +150,9 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
     return out
 
 
-def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str) -> Scrub:
+def scrub(
+    simulation: Simulation, newton: float, *, strokes: int, region: str, speed_m_s: float = SPEED_M_S
+) -> Scrub:  # fmt: skip
     """Scrub back and forth over a region's skin at a mean force [N].
 
     The middle of the stroke is the place of scripted contacts, or as near to it as this tool has room to go to and fro;
@@ -157,18 +189,21 @@ def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str) -
     rubbed: list[tuple[float, float]] = []
     place = 0.0
     while ends.turns < LEARNING_TURNS + strokes:
-        place += ends.direction * SPEED_M_S * period
+        place += ends.direction * speed_m_s * period
         before = simulation.tissue[region].cells(simulation.data)
         new = go(place)
         after = simulation.tissue[region].cells(simulation.data)
         if ends.turns >= LEARNING_TURNS:
             samples += new
-            if new[-1].tcp_speed[-1] > STEADY * SPEED_M_S:
+            if new[-1].tcp_speed[-1] > STEADY * speed_m_s:
                 rubbed.append(sliding_friction(before, after, speed_m_s=float(new[-1].tcp_speed.mean())))
         ends.moved(place, at())
     time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
+    column = SEGMENTS.index(REGIONS[region].segment)
     return Scrub(
-        time_s=time - time[0], force_n=force_norm(samples, REGIONS[region].segment), steady=speed > STEADY * SPEED_M_S,
+        time_s=time - time[0], force_n=force_norm(samples, REGIONS[region].segment),
+        along_n=np.concatenate([s.force[:, column, :2] for s in samples]), steady=speed > STEADY * speed_m_s,
+        turning=speed < TURNING_M_S,
         friction=np.array([friction for friction, _ in rubbed]), sliding=np.array([share for _, share in rubbed]),
     )  # fmt: skip
 

@@ -127,6 +127,7 @@ static void find_one(Region* r, const State* s, const Law* law, double dt, int q
       c.depth_before = row[4];
       c.allowed_before = row[5];
       memcpy(c.normal_before, row + 6, sizeof c.normal_before);
+      memcpy(c.bristle_before, row + 9, sizeof c.bristle_before);
     }
   }
   place_of(r, s, r->point + q, dt, c.at, c.seen);

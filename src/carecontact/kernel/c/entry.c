@@ -9,10 +9,17 @@
 // over many short steps is a factor of e in each length `entry`. With it the layer grows deeper, and the tool pays: in
 // each step, it is braked by pressure times the fall of the allowance over its way. This force acts between tool and bone:
 // it is that of a ramp of the tool, over which the skin is let in, and the skin's tissue does not feel it. A tool that
-// stands or goes straight in uses up nothing. An allowance below zero, after a depth has vanished at once, gives back in
-// the same way.
+// goes straight in uses up nothing.
+//
+// The ramp is held by a bristle at each point, which the tool's way bends, and which slips where it is bent by BRISTLE: the
+// brake grows with its bend and is full where it slips. So a tool that stands or turns round is held as by a spring; a full
+// brake against every step's way would turn round in every step. The allowance falls by the brake's work, so that a
+// bristle that unbends lets it grow again by as much, and a tool that goes to and fro within the bend uses up nothing. The
+// bristle itself holds no energy, which is all in the layer. So it may begin straight at a new point, turn with the tool's
+// surface and go over to another part of the tool, and no energy is made.
+//
+// An allowance below zero, after a depth has vanished at once, gives back in the same way, by a force along the bend.
 #include <math.h>
-#include <string.h>
 
 #include "region.h"
 #include "vec.h"
@@ -20,7 +27,11 @@
 // The depth in a tool changes by the tool's way past the point along the normal. What is left is the bend of the surface,
 // up to these shares of the way for a point that comes and for one that stays, whose normal before is known; and rounding.
 static const double BENDS = 0.1, STAYS = 0.02, SLACK = 1e-5;  // SLACK: [m]
-static const double STANDS = 1e-9;  // [m] a tool that moves less in a step stands
+// [m] How far a bristle bends before it slips. About as far as the friction of the contact layer does: with a coefficient
+// of 0.5 and 5e7 N/m^3, under 10 kPa. It has to be short against `entry`, so that the allowance that comes and goes with
+// the bend, the share BRISTLE / (2 entry), is below 1 %, and long enough for an explicit force: a brake of 12 N on 1 kg
+// that bends by so much swings within 9 steps of 2 ms.
+static const double BRISTLE = 1e-4;
 static const double UPSIDE_DOWN = 1e-3;  // 1 plus the cosine between two normals from which on no turn is known
 
 // The part of the depth that the tool has not pressed, before its way in this step.
@@ -36,17 +47,23 @@ static double not_pressed(const Contact* c, int exact) {
   return c->allowed_before + (fabs(jumped) > bends ? jumped : 0);
 }
 
+// Bends a point's bristle by the tool's way along its surface.
+static void bend(Contact* c, const double way[3]) {
+  double *z = c->bristle, out = dot(c->bristle_before, c->normal);
+  for (int k = 0; k < 3; k++) z[k] = c->bristle_before[k] - out * c->normal[k] + way[k];
+  double bent = sqrt(dot(z, z));
+  if (bent <= BRISTLE) return;
+  for (int k = 0; k < 3; k++) z[k] *= BRISTLE / bent;
+}
+
 void entry_allow(const Law* law, Contact* c, int exact) {
   double way[3], along = dot(c->shift, c->normal);
-  memset(c->drag, 0, sizeof c->drag);
   c->allowed = not_pressed(c, exact);
   for (int k = 0; k < 3; k++) way[k] = c->shift[k] - along * c->normal[k];
-  double far = sqrt(dot(way, way));
-  if (c->allowed != 0 && far > STANDS) {
-    double falls = c->allowed / (law->entry + far);  // per way
-    for (int k = 0; k < 3; k++) c->drag[k] = falls * way[k] / far;
-    c->allowed -= falls * far;
-  }
+  bend(c, way);
+  double falls = c->allowed / (law->entry + sqrt(dot(way, way)));  // per way, where the bristle slips
+  for (int k = 0; k < 3; k++) c->drag[k] = falls * c->bristle[k] / BRISTLE;
+  c->allowed -= dot(c->drag, way);
   c->gap += c->allowed;
 }
 

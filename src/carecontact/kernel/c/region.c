@@ -383,6 +383,7 @@ void region_commit(Region* r, State* s, double dt) {
       row[4] = c->stands_off + c->allowed - (c->gap + dot(c->normal, c->moved));
       row[5] = c->allowed;
       memcpy(row + 6, c->normal, sizeof c->normal);
+      memcpy(row + 9, c->bristle, sizeof c->bristle);
     }
   }
   add_to_cells(r, s, dt);

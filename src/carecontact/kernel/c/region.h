@@ -107,13 +107,15 @@ typedef struct {
   double gap;
   double stands_off;     // how far the point stands off a round tool [m]
   double allowed;        // its allowance at the step's end: depth in the tool that is not in the layer (entry.c) [m]
-  double drag[3];        // the fall of the allowance over the tool's way, along this way
+  double bristle[3];     // the bend of its bristle, along the tool's surface (entry.c) [m]
+  double drag[3];        // the fall of the allowance over the tool's way, along the bristle
   double seen[3];        // how far it had moved where the gap was measured [m]
   double traction[3];    // friction per area now [Pa]
   int stayed;            // whether it touched in the step before
   double before[3];      // its friction per area then [Pa]
   double held[3];        // the same, turned onto the tool's tangent plane [Pa]
-  double depth_before, allowed_before, normal_before[3];  // depth in the tool, allowance [m] and tool's normal then
+  double depth_before, allowed_before;         // depth in the tool and allowance then [m]
+  double normal_before[3], bristle_before[3];  // the tool's normal and the bristle's bend then; 0 at a new point
   double layer;          // depth at which the layer's pressure is twice as high as a linear layer's [m]; 0: it is linear
   double stiff;          // of the layer between skin and tool: the skin's and the tool's own, one after the other [N/m^3]
   double shift[3];       // how far the tool's material moved past it in the last step [m]
@@ -166,14 +168,14 @@ typedef struct {
 
 // Where things lie in a region's plugin_state. `holds` is the number of points that touched in the last step, and `held`
 // has a row for each: its number and its friction per area, and in a region that lets skin in also its depth in the tool,
-// its allowance and the tool's normal.
+// its allowance, the tool's normal and the bend of its bristle.
 typedef struct {
   double *steps, *awake, *u, *rate, *holds, *held, *cells, *ring;
 } State;
 
-// The state has room for HELD_SIZE numbers for every point. Longer rows share this room: no shipped tool touches four
-// ninths of a region's points at once. Where one does, the points beyond begin anew in each step, and ROW_LEFT says so.
-enum { HELD_SIZE = 4, HELD_LONG = 9 };
+// The state has room for HELD_SIZE numbers for every point. Longer rows share this room: no shipped tool touches a
+// third of a region's points at once. Where one does, the points beyond begin anew in each step, and ROW_LEFT says so.
+enum { HELD_SIZE = 4, HELD_LONG = 12 };
 
 int state_size(int nvertex, int ntriangle, int ncell);
 State state_of(const Region* r, double* state);
