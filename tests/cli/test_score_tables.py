@@ -39,11 +39,11 @@ def test_seven_tasks_fit_80_columns_and_no_name_is_cut(
 ) -> None:
     run = Run()
     fill(run, 0)
-    scores = [s.model_copy(update={"additional": {"beyond_calibrated@1": 0.125}}) for s in run.scores]
+    scores = [s.model_copy(update={"additional": {"beyond_calibrated@2": 0.125}}) for s in run.scores]
     told = shown(scores, capsys, monkeypatch)
     assert [line for line in told.splitlines() if len(line) > 80] == []
     assert "…" not in told
-    assert "beyond_calibrated@1" in told
+    assert "beyond_calibrated@2" in told
     assert "\nT5: 1 insufficient progress\n" in told
     heads = [line.removeprefix("median") for line in told.splitlines() if line.startswith("median")]
     assert " ".join(heads).split() == ["T1", "T2", "T3", "T4", "T5", "T6", "T7", "all"]

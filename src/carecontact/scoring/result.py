@@ -120,7 +120,7 @@ class TrialScore(BaseModel):
     indentation_m: float
     impulse_ns: float
     extrapolated_share: float | None
-    """Share of the region's contact time spent deeper than the measured range."""
+    """Share of the region's contact time spent deeper than the tissue is valid (``beyond_calibrated@2``)."""
     skin_in_tool: float | None = None
     """How far the skin lay inside the tool at the largest force, over half of the tool's thickness
     (``scoring.tool_in_skin``). Only a trial in which this is more than 1 has it; its forces say nothing about a person.

@@ -105,7 +105,7 @@ def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
 
 
 def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> None:
-    additional = {"impulse@1": 31.4, "exposure_gate@1": 0.25, "iso_utilisation@1": 0.55, "beyond_calibrated@1": 0.8}
+    additional = {"impulse@1": 31.4, "exposure_gate@1": 0.25, "iso_utilisation@1": 0.55, "beyond_calibrated@2": 0.8}
     sweep = {"floor_n": {"0.25": 3, "0.5": 3, "1": 1}}
     run_of_7.scores[:] = [
         s.model_copy(update={"additional": additional, "gate_sweep": sweep}) if s.valid_contact else s
@@ -115,7 +115,7 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     for words in (
         "Impulse N s 31.4 31.4 31.4 31.4 31.4 NA NA 31.4", "Time above the safety gate s 0.25",
-        "Share of contact time beyond the measured indentation 0.80", "* from secondary sources",
+        "Share of contact time deeper than the tissue is valid 0.80", "* from secondary sources",
         "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
         "6 of 7 trials have a trajectory to score (valid ratio 86 %",
         "Safety gate, 0.35 of the pain limit 1 of 6", "region-correct, 3", "Contact floor [N] 7 trials",
@@ -514,7 +514,7 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
     assert "Draft protocol" in said
     assert "Draft protocol" not in caveats(run_of_7.scores, [frozen])
-    assert "stayed within" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
+    assert "where the tissue is valid" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 
 def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has_it(run_of_7: Run) -> None:

@@ -27,7 +27,7 @@ from tests.scoring.synthetic import (
 FAST = settings(max_examples=15, deadline=None)
 NEED_CONTACT = (
     "impulse@1", "force_rate_p95@1", "exposure_comfort@1", "exposure_gate@1", "exposure_pain@1", "shear_work@1",
-    "beyond_calibrated@1", "pain_utilisation@1", "iso_utilisation@1",
+    "beyond_calibrated@2", "pain_utilisation@1", "iso_utilisation@1",
 )  # fmt: skip
 
 
@@ -171,4 +171,4 @@ def test_shear_work_needs_a_region_with_a_frame() -> None:
 
 def test_beyond_calibrated_is_the_score_that_the_trial_carries() -> None:
     recording = scrub(extra={"scorer/indentation_m": np.full((300, 3), 0.009, np.float32)})
-    assert measure("beyond_calibrated@1", recording) == 1.0
+    assert measure("beyond_calibrated@2", recording) == 1.0

@@ -330,8 +330,17 @@ def test_indentation_beyond_the_measured_range_is_counted_under_contact_only() -
     for step, share in ((598, None), (599, 1.0), (600, None)):
         on = np.zeros_like(contact.on)
         on[step, contact.target] = True
-        found = METRICS["beyond_calibrated@1"].compute(replace(contact, on=on))
+        found = METRICS["beyond_calibrated@2"].compute(replace(contact, on=on))
         assert found == share, "the last step of a control period decides whether it counts"
+
+
+def test_a_glide_deeper_than_15_mm_counts_as_beyond_the_tissue_and_a_press_as_deep_does_not() -> None:
+    """The abdomen was measured to 22 mm, but only to 15 mm does a moving tool feel what it should."""
+    deep = {"scorer/indentation_m": np.full((150, 3), 0.018, np.float32)}
+    for speed, share in ((0.02, 1.0), (0.0, 0.0)):
+        extra = {**deep, "scorer/tcp_speed": np.full(1500, speed, np.float32)}
+        recording = make_recording("T6", normal={"abdomen": hold(3.0, 1.0, 2.0, 8.0)}, extra=extra)
+        assert METRICS["beyond_calibrated@2"].compute(find_contact(recording)) == share
 
 
 def test_impulse_is_force_times_time() -> None:

@@ -32,6 +32,10 @@ static const double BENDS = 0.1, STAYS = 0.02, SLACK = 1e-5;  // SLACK: [m]
 // the bend, the share BRISTLE / (2 entry), is below 1 %, and long enough for an explicit force: a brake of 12 N on 1 kg
 // that bends by so much swings within 9 steps of 2 ms.
 static const double BRISTLE = 1e-4;
+// Greatest fall of the allowance per way: the brake is at most this many times the press, however steep the ramp would be
+// (scoring/validity/forces.py counts on it). A ramp that is less steep than this, such as 1.5, lets a cap sink into the
+// abdomen that is dragged over it.
+static const double STEEPEST = 2;
 static const double UPSIDE_DOWN = 1e-3;  // 1 plus the cosine between two normals from which on no turn is known
 
 // The part of the depth that the tool has not pressed, before its way in this step.
@@ -62,6 +66,7 @@ void entry_allow(const Law* law, Contact* c, int exact) {
   for (int k = 0; k < 3; k++) way[k] = c->shift[k] - along * c->normal[k];
   bend(c, way);
   double falls = c->allowed / (law->entry + sqrt(dot(way, way)));  // per way, where the bristle slips
+  falls = most(-STEEPEST, least(STEEPEST, falls));
   for (int k = 0; k < 3; k++) c->drag[k] = falls * c->bristle[k] / BRISTLE;
   c->allowed -= dot(c->drag, way);
   c->gap += c->allowed;

@@ -12,8 +12,9 @@ from carecontact.recording import Recording
 from carecontact.recording.schema import CUTS
 from carecontact.scoring.filters import F64
 
-MOST_FRICTION = 2.0
-"""The largest coefficient that a protocol may have: with it a contact's force is sqrt(5) of its normal part."""
+MOST_FRICTION, MOST_BRAKE = 2.0, 2.0
+"""The largest coefficient that a protocol may have, and the brake of a tool that lets skin in (``STEEPEST`` in
+kernel/c/entry.c), both over the normal force: with both a contact's force is sqrt(17) of its normal part."""
 ROUNDING_N = 0.01
 CUT_ROUNDING = 1e-5
 
@@ -38,13 +39,14 @@ def check_forces(recording: Recording) -> None:
 def _check_segment(recording: Recording, column: int, norm: F64, normal: npt.NDArray[np.float32]) -> None:
     header, time = recording.header, recording["scorer/time_s"]
     place = f"{header.spec.trial_id}: on {header.segments[column]}"
-    most = hypot(1.0, MOST_FRICTION) * normal + ROUNDING_N
+    most = hypot(1.0, MOST_FRICTION + MOST_BRAKE) * normal + ROUNDING_N
     wrong = np.flatnonzero(norm > most)
     if len(wrong):
         at = wrong[0]
         raise RecordingError(
             f"{place} scorer/force_human_from_robot_in_world is {norm[at]:.4g} N at {time[at]:.4g} s and "
-            f"scorer/normal_force {normal[at]:.4g} N; with friction of up to {MOST_FRICTION:g} at most {most[at]:.4g} N"
+            f"scorer/normal_force {normal[at]:.4g} N; with a friction of up to {MOST_FRICTION:g} and a "
+            f"brake of up to {MOST_BRAKE:g} times it at most {most[at]:.4g} N"
         )
 
 

@@ -14,6 +14,7 @@ from carecontact.reports.page.section import Kept, Page, section
 from carecontact.reports.page.sections.funnel import funnel
 from carecontact.reports.text import clipped_text, percent
 from carecontact.runs.pooling import mixed
+from carecontact.scoring.metrics.indentation import GLIDE_M
 from carecontact.scoring.result import TrialScore
 
 Caveat = tuple[str, str]
@@ -223,12 +224,13 @@ def _extrapolation(scores: Sequence[TrialScore]) -> list[tuple[str, str]]:
     beyond = sum(share > 0 for share in shares)
     if not beyond:
         trials = {1: "the trial", 2: "both trials"}.get(len(shares), f"all {len(shares)} trials")
-        text = f"In {trials} with contact on the region, the indentation stayed within the measured range."
+        text = f"In {trials} with contact on the region, the indentation stayed where the tissue is valid."
     else:
         text = (
             f"In {beyond} of {counted(len(shares), 'trial')} with contact on the region, part of the contact time "
-            f"(at most {percent(max(shares))}) was at indentations beyond the measured range; "
-            "forces there follow an extrapolated curve."
+            f"(at most {percent(max(shares))}) was deeper than the tissue is valid: beyond the measured range, where "
+            f"forces follow an extrapolated curve, or beyond {1000 * GLIDE_M:g} mm under a moving tool, where they may "
+            "jump."
         )
     return [("Extrapolated tissue", text)]
 
