@@ -31,13 +31,13 @@ class CartesianControl:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, protocol: Protocol) -> None:
         self._model, self._data, self._protocol = model, data, protocol
         self._posture = Posture(model, np.array(protocol.scene.parked_joint_rad))
-        self._rows = np.array([model.actuator(f"impedance_{axis}").id for axis in range(6)])
+        first = model.actuator("impedance_0").id
+        self._rows = slice(first, first + 6)
         self._tcp = model.site(PANDA.tcp_site).id
         self._mocap = int(model.body_mocapid[model.body("tcp_target").id])
         self._interpolator = TargetInterpolator(protocol.physics)
-        self._fastest = HELD_TO * np.array(
-            [protocol.physics.max_tcp_speed_m_s, protocol.physics.max_tcp_rotation_rad_s]
-        )
+        physics = protocol.physics
+        self._fastest = HELD_TO * physics.max_tcp_speed_m_s, HELD_TO * physics.max_tcp_rotation_rad_s
         self.feedforward: F64 = np.zeros(6)
         """(6,) force [N] and torque [N m] in the axes of the tool that are added to the springs' wrench. The clamp of
         each axis holds for the sum."""
@@ -86,11 +86,12 @@ class CartesianControl:
         no faster than HELD_TO allows; likewise the torque. A target at its full speed asks for less than critical
         damping gives, so that only a tool far from its target, a feedforward without a spring or little damping is held
         back (a saturation of speed, as in Khatib 1987, IEEE J Robot Autom 3:43)."""
-        model, data = self._model, self._data
-        off, quat, target_quat = np.zeros(6), np.zeros(4), data.mocap_quat[self._mocap]
-        off[:3] = matrix_from_quat(target_quat).T @ (data.site_xpos[self._tcp] - data.mocap_pos[self._mocap])
+        data, bias = self._data, self._model.actuator_biasprm[self._rows]
+        off, quat, back, target_quat = np.zeros(6), np.zeros(4), np.zeros(4), data.mocap_quat[self._mocap]
+        mujoco.mju_negQuat(back, target_quat)
+        mujoco.mju_rotVecQuat(off[:3], data.site_xpos[self._tcp] - data.mocap_pos[self._mocap], back)
         mujoco.mju_mat2Quat(quat, data.site_xmat[self._tcp])
         mujoco.mju_subQuat(off[3:], quat, target_quat)
-        wrench = model.actuator_biasprm[self._rows, 0] - model.actuator_gainprm[self._rows, 0] * off
-        least = np.repeat(np.linalg.norm(wrench.reshape(2, 3), axis=1) / self._fastest, 3)
-        model.actuator_biasprm[self._rows, 2] = -np.maximum(self._damping, least)
+        wrench = bias[:, 0] - self._model.actuator_gainprm[self._rows, 0] * off
+        for part, fastest in zip((slice(3), slice(3, 6)), self._fastest, strict=True):
+            bias[part, 2] = -np.maximum(self._damping[part], mujoco.mju_norm3(wrench[part]) / fastest)
