@@ -4,8 +4,9 @@
     python tools/make_synthetic_trials.py abdomen --route analytic --material nearly-linear --loss area --out trials.csv
 
 Two routes:
-  analytic   F = k d^n + loss, no simulation at all. The loss is k d^n beta v (--loss force; Hunt and Crossley 1975) or
-             eta A(d) v with the indenter's area in contact (--loss area); both lose about the same work;
+  analytic   F = k d^n + loss, or k (exp(d / delta) - 1) + loss (--material exponential), no simulation at all. The
+             loss is beta v times the first term (--loss force; Hunt and Crossley 1975), eta A(d) v with the
+             indenter's area in contact (--loss area) or zeta d v (--loss depth); all lose about the same work;
   fine-mesh  the region's shell with vertices half as far apart, stepped at half the time step; a drawn law, every
              subject stiffer or softer by a few percent, every press a little beside the place that the file records.
 Both add what a recording has: indentation counted from a wrong zero, sensor noise, an offset and a drift of the force,
@@ -19,7 +20,7 @@ import argparse
 import json
 import secrets
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,11 @@ class Setup:
 
 
 EXPONENTS = {"nearly-linear": (1.05, 1.25), "middling": (1.35, 1.75), "stiffening": (1.75, 2.25)}
-"""Of depth, for each material of the analytic route."""
-LOSSES = ("force", "area")
+"""Of depth, for the materials of the analytic route that are powers of it."""
+EXPONENTIAL, DELTAS = "exponential", (1.0, 2.5)
+"""The material that is not, and how many times its delta goes into the full depth: its tangent grows by e to 12 times.
+Neither form nor range is fitted to anything."""
+LOSSES = ("force", "area", "depth")
 RIM_MM = 0.3
 """Depth over which a disc comes to lie on the skin."""
 SETUPS = {
@@ -116,31 +120,41 @@ def motion(depth_mm: float, speed_mm_s: float) -> tuple[np.ndarray, np.ndarray, 
 
 @dataclass(frozen=True, kw_only=True)
 class Analytic:
-    """F = k d^n + loss, as the module says."""
+    """The force that the module says."""
 
-    k_n_at_1mm: float
+    k_n: float
+    """[N mm^-n], and of an exponential [N]"""
     n: float
-    beta_s_m: float
-    """0 where the loss is by area."""
-    eta_ns_m3: float
-    """0 where the loss is by force."""
+    """0 for an exponential."""
+    delta_mm: float
+    """0 for a power."""
+    beta_s_m: float = 0.0
+    eta_ns_m3: float = 0.0
+    zeta_ns_m2: float = 0.0
 
     @classmethod
     def drawn(cls, region: str, rng: np.random.Generator, *, material: str, loss: str) -> Analytic:
         setup = SETUPS[region]
-        n, beta = float(rng.uniform(*EXPONENTS[material])), float(rng.uniform(*setup.beta_s_m))
-        k = float(rng.uniform(*setup.k_n)) / setup.depth_mm**n
+        shape, beta = float(rng.uniform(*EXPONENTS.get(material, DELTAS))), float(rng.uniform(*setup.beta_s_m))
+        n, delta = (0.0, setup.depth_mm / shape) if material == EXPONENTIAL else (shape, 0.0)
+        unit = cls(k_n=1.0, n=n, delta_mm=delta)
+        law = replace(unit, k_n=float(rng.uniform(*setup.k_n)) / float(unit.elastic_n(setup.depth_mm)))
         if loss == "force":
-            return cls(k_n_at_1mm=k, n=n, beta_s_m=beta, eta_ns_m3=0.0)
+            return replace(law, beta_s_m=beta)
         depth = np.linspace(0.0, setup.depth_mm, 500)
-        eta = beta * np.mean(k * depth**n) / np.mean(area_m2(setup.indenter, depth))
-        return cls(k_n_at_1mm=k, n=n, beta_s_m=0.0, eta_ns_m3=float(eta))
+        same = beta * np.mean(law.elastic_n(depth))
+        if loss == "depth":
+            return replace(law, zeta_ns_m2=float(same / np.mean(depth / 1000)))
+        return replace(law, eta_ns_m3=float(same / np.mean(area_m2(setup.indenter, depth))))
+
+    def elastic_n(self, depth_mm: np.ndarray | float) -> np.ndarray:
+        return self.k_n * (np.expm1(depth_mm / self.delta_mm) if self.delta_mm else np.asarray(depth_mm) ** self.n)
 
     def force_n(self, indenter: Indenter, depth_mm: np.ndarray, speed_mm_s: np.ndarray | float) -> np.ndarray:
         """Never below zero: nothing pulls the indenter."""
         d, v = np.maximum(depth_mm, 0.0), np.asarray(speed_mm_s) / 1000
-        force = self.k_n_at_1mm * d**self.n * (1 + self.beta_s_m * v) + self.eta_ns_m3 * area_m2(indenter, d) * v
-        return np.maximum(force, 0.0)
+        lost = self.eta_ns_m3 * area_m2(indenter, d) + self.zeta_ns_m2 * d / 1000
+        return np.maximum(self.elastic_n(d) * (1 + self.beta_s_m * v) + lost * v, 0.0)
 
 
 def area_m2(indenter: Indenter, depth_mm: np.ndarray) -> np.ndarray:
@@ -262,7 +276,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("region", choices=sorted(SETUPS))
     parser.add_argument("--route", choices=("analytic", "fine-mesh"), default="fine-mesh")
-    parser.add_argument("--material", choices=tuple(EXPONENTS), default="middling", help="of the analytic route")
+    parser.add_argument(
+        "--material", choices=(*EXPONENTS, EXPONENTIAL), default="middling", help="of the analytic route"
+    )
     parser.add_argument("--loss", choices=LOSSES, default="force", help="of the analytic route")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truth", type=Path, help="where to write the law and the seed")
