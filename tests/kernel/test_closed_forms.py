@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ive, k0, k1
 
+from carecontact.kernel.region import Law
 from tests.kernel.sheets import BOX, CYLINDER, MESH, SPHERE, Sheet, corners_of_a_box, sheet, tissue
 
 
@@ -50,6 +51,18 @@ def test_a_sphere_on_independent_springs(b: float, c: float) -> None:
     wanted = 2 * np.pi * np.trapezoid(r * pressure, r)
     # The layer of contact, a thousand times as stiff, gives way by 0.1 %; the rest is the mesh.
     assert -made.hold(depth)["force_n"][2] == pytest.approx(wanted, rel=0.02)
+
+
+def test_tissue_that_is_pressed_nearly_to_the_bone_locks() -> None:
+    """A wide disc, eight and nine tenths of the thickness deep; friction holds the skin, and the layer gives way."""
+    law = tissue(a_n_m3=1e6, c_n_m5=1e10, thickness_m=0.01, measured_depth_m=0.005, friction=2.0)
+    made = Sheet(law, sheet(half_m=0.03, spacing_m=0.0025), bottom_m=0.02, type=CYLINDER, size=[0.02, 0.02, 0])
+    for depth, lock in ((0.006, 0.0), (0.008, 8e3), (0.009, 27e3)):
+        made.hold(depth)
+        inward = made.felt.displacement(made.data)[np.linalg.norm(made.felt.places, axis=1) < 0.01, 0]
+        pressure = 2e8 * (depth - inward.mean())
+        assert pressure == pytest.approx(Law.of(law).normal_pa(inward).mean(), rel=0.01)
+        assert Law.of(law).normal_pa(np.array([depth]))[0] == pytest.approx(1e6 * depth + 1e10 * depth**3 + lock)
 
 
 def test_a_coarse_mesh_meets_a_round_tool_like_a_fine_one() -> None:

@@ -26,7 +26,8 @@ def belly(**fields: float) -> Tissue:
     return tissue(
         **{
             "a_n_m3": 2e5, "coupling_length_m": 0.0078, "membrane_n_m": 240.0, "contact_n_m3": 5e7,
-            "damping_ns_m3": 9e3, "thickness_m": 0.05, **fields,
+            # So thick that nothing here locks.
+            "damping_ns_m3": 9e3, "thickness_m": 0.1, **fields,
         }
     )  # fmt: skip
 

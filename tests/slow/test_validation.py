@@ -9,6 +9,7 @@ from carecontact.validation.run import CHECKS, Validation, validate
 from carecontact.world.human.library import body_names
 from tests.validation.defects import (
     half_stiff,
+    old_bone,
     overdamped,
     soft_contact,
     soft_upper_arm,
@@ -65,6 +66,13 @@ def test_half_stiffness_fails_the_calibration_residual() -> None:
     missed = [m for m in result.missed if "NRMSE" in m.name]
     assert {m.name.partition(",")[0] for m in missed} == {"forearm", "abdomen"}
     assert min(m.value for m in missed) > 20.0
+
+
+def test_bone_of_the_arm_that_does_not_give_fails_the_knocks() -> None:
+    """Elsewhere, the person is sound."""
+    result = validate(load_protocol(), make_scene=old_bone, quick=True, checks=["knocks"]).results[0]
+    missed = {m.name.partition(":")[0] for m in result.missed}
+    assert missed == {f"{site}, 10 kg at 0.2 m/s" for site in ("shoulder cap", "elbow", "forearm")}
 
 
 def test_missing_coupling_fails_the_calibration_residual() -> None:

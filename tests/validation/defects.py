@@ -16,6 +16,7 @@ from carecontact.kernel.region import set_law
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.subject import Subject
 from carecontact.world.human.end_stops import stop_name
+from carecontact.world.human.plates import ARM, plate_body
 from carecontact.world.scene import Scene, build_scene
 
 
@@ -159,6 +160,19 @@ def without_cores(protocol: Protocol, *, target: str | None, skin: bool) -> Scen
         if scene.model.geom(g).name.startswith("human_core_"):
             scene.model.geom_contype[g] = scene.model.geom_conaffinity[g] = 0
     return scene
+
+
+def old_bone(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    """The arm's bone stands on its segment, with the contact that it once had."""
+    scene = build_scene(protocol, target=target, skin=skin)
+    spec = scene.spec.copy()
+    for part in ARM:
+        plate = spec.body(plate_body(f"right_{part}"))
+        for joint in plate.joints:
+            spec.delete(joint)
+        for geom in plate.geoms:
+            geom.solref = [0.01, 1.0]
+    return replace(scene, spec=spec, model=spec.compile())
 
 
 def light_arm(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:

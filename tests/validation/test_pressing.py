@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carecontact.contract.embodiment import PANDA_MITT
-from carecontact.kernel.region import ENTRY_M, LAYER_M
+from carecontact.kernel.region import ENTRY_M, LAYER_M, LOCK
 from carecontact.protocols import load_protocol, overridden
 from carecontact.validation.pressing import person_bench, tool
 from carecontact.validation.rig import CAP, Rig, robot_tool
@@ -46,4 +46,4 @@ def test_bench_and_rig_touch_as_the_person_is_touched(subject: Subject) -> None:
         subject.scene("forearm").model, person_bench(subject, "forearm", tool(subject)).model,
         Rig(subject, "forearm", CAP, joints="slides").model,
     ):  # fmt: skip
-        assert model.numeric("forearm/contact").data.tolist() == [LAYER_M, ENTRY_M]
+        assert model.numeric("forearm/contact").data.tolist() == [LAYER_M, ENTRY_M, LOCK]

@@ -11,10 +11,12 @@ from carecontact.protocols import FAST_DT_S, load_protocol
 from carecontact.world.human.anthropometry import SegmentInertia, segment_inertias
 from carecontact.world.human.library import load_body
 from carecontact.world.human.plates import (
+    ARM,
     BELLY_FLOOR,
     FLOOR_GIVE,
     GIVES,
     PLATES,
+    SIZE_M,
     plate_body,
     plates_of,
     without_plates,
@@ -48,7 +50,10 @@ def test_what_is_left_of_a_bone_makes_up_the_segment_with_its_plates() -> None:
                          moments_kgm2=np.array([0.2, 0.25, 0.1]))  # fmt: skip
     places = [(plate, np.array([0.1 * k, -0.05, 0.2])) for k, plate in enumerate(plates_of("thorax"))]
     mass, centre, tensor = without_plates(row, places)
-    bodies = [(mass, centre, tensor), *((p.give.mass_kg, at, p.give.mass_kg * 0.05**2 * np.eye(3)) for p, at in places)]
+    bodies = [
+        (mass, centre, tensor),
+        *((p.give.mass_kg, at, p.give.mass_kg * SIZE_M**2 * np.eye(3)) for p, at in places),
+    ]
     whole = sum(m for m, _, _ in bodies)
     middle = sum(m * at for m, at, _ in bodies) / whole
     assert whole == pytest.approx(row.mass_kg)
@@ -89,10 +94,21 @@ def test_they_give_way_sideways_where_a_tool_comes_from_the_side(model: mujoco.M
 
 
 def test_the_bone_under_the_belly_rests_on_a_plate(model: mujoco.MjModel) -> None:
-    cores = {g for g in range(model.ngeom) if model.geom(g).name.startswith("human_core_abdomen")}
-    floor = model.body(plate_body(BELLY_FLOOR)).id
-    assert len(cores) > 5
-    assert {int(model.geom_bodyid[g]) for g in cores} == {floor}
+    assert carriers(model, "human_core_abdomen") == {plate_body(BELLY_FLOOR)}
+
+
+@pytest.mark.parametrize("part", ARM)
+def test_all_bone_of_the_soft_arm_rests_on_a_plate(model: mujoco.MjModel, part: str) -> None:
+    for kind in ("core", "hull"):
+        of = part if kind == "core" else f"right_{part}"
+        assert carriers(model, f"human_{kind}_{of}") == {plate_body(f"right_{part}")}
+
+
+def carriers(model: mujoco.MjModel, geoms: str) -> set[str]:
+    """Names of the bodies that carry the geoms whose names begin so."""
+    found = [g for g in range(model.ngeom) if model.geom(g).name.startswith(geoms)]
+    assert len(found) > 1
+    return {model.body(model.geom_bodyid[g]).name for g in found}
 
 
 def test_segments_with_their_plates_weigh_what_is_declared(model: mujoco.MjModel) -> None:

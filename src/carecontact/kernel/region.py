@@ -32,6 +32,10 @@ ENTRY_M = 0.006
 """Way of a tool over which skin that it has not pressed comes to bear, by a factor of e, [m]. At 0, such skin bears
 nothing beside an upright wall, and once the wall is no longer upright to it, all at once. Chosen for a cap that scrubs
 the abdomen with 15 N: with 2 to 3 mm its force rattles, and with 8 mm its mean is 10 to 15 % off the one asked for."""
+LOCK_FROM, LOCK = 0.6, 16.0
+"""Tissue of a limb that is pressed to more than this share of its thickness locks: at w over that depth, the rest of
+the thickness being h, its pressure is higher by LOCK a h (w / h)^3 (docs/tissue.md). Kept in step with
+``c/region.h``."""
 SWEEPS = 60
 """Largest number of sweeps of the solver in a step. In scrubs, half of the steps take one or two, 95 % at most four,
 and the most was 13 (measured)."""
@@ -107,6 +111,16 @@ class Law:
     contact_n_m3: float
     thickness_m: float
 
+    def normal_pa(self, inward_m: Array, *, lock: float = LOCK) -> Array:
+        """Return the pressure (N,) of the anchors along the normal at indentations (N,), without their dampers.
+
+        ``lock``: as in ``add_region``.
+        """
+        size, rest = np.abs(inward_m), (1 - LOCK_FROM) * self.thickness_m
+        over = np.maximum(inward_m - LOCK_FROM * self.thickness_m, 0.0)
+        polynomial = (self.a_n_m3 + self.b_n_m4 * size + self.c_n_m5 * size**2) * inward_m
+        return polynomial + lock * self.a_n_m3 * over**3 / rest**2
+
     @classmethod
     def of(cls, tissue: Tissue) -> Law:
         """Return the constants of a row of tissue."""
@@ -129,6 +143,7 @@ def add_region(
     ledger: bool = False,
     layer_m: float = LAYER_M,
     entry_m: float = ENTRY_M,
+    lock: float = LOCK,
 ) -> None:
     """Add a soft region to a bone of an uncompiled model.
 
@@ -142,6 +157,7 @@ def add_region(
         ledger: whether to keep the energy of every step (``Readings``), which takes a tenth of the solver's time.
         layer_m: see LAYER_M.
         entry_m: see ENTRY_M.
+        lock: see LOCK; at 0, the tissue does not lock.
 
     Raises DependencyError if the compiled tissue is missing.
     """
@@ -152,7 +168,8 @@ def add_region(
     numbers = {
         "vertices": np.c_[mesh.places, mesh.frames.reshape(-1, 9), mesh.areas], "edges": np.c_[edges, weights],
         "triangles": mesh.rows, "law": np.array(astuple(Law.of(tissue))),
-        "options": np.array([reach, TOLERANCE_M, SWEEPS, ledger], np.float64), "contact": np.array([layer_m, entry_m]),
+        "options": np.array([reach, TOLERANCE_M, SWEEPS, ledger], np.float64),
+        "contact": np.array([layer_m, entry_m, lock]),
     }  # fmt: skip
     for kind, values in numbers.items():
         spec.add_numeric(name=f"{name}/{kind}", data=values.ravel().tolist(), size=values.size)

@@ -18,7 +18,7 @@ from carecontact.contract.embodiment import PANDA, Tip
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.kernel.readings import Readings
-from carecontact.kernel.region import set_law
+from carecontact.kernel.region import Law, set_law
 from carecontact.regions import REGIONS
 from carecontact.world.human.body import Array, Body
 from carecontact.world.human.shell import Shell
@@ -313,7 +313,7 @@ class Bench:
         """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""
         law, u = self.tissue, self.felt.displacement(self._data)
         spring = law.a_n_m3 * u
-        spring[:, 0] += (law.b_n_m4 * np.abs(u[:, 0]) + law.c_n_m5 * u[:, 0] ** 2) * u[:, 0]
+        spring[:, 0] = Law.of(law).normal_pa(u[:, 0], lock=float(self.model.numeric(f"{self.region}/contact").data[2]))
         growth = law.damping_growth_ns_m4 * np.maximum(u[:, :1], 0.0)
         borne = spring + (law.damping_ns_m3 + growth) * self.felt.rate(self._data)
         return np.einsum("i,ij,ijk->k", self.felt.areas, borne, self.felt.frames)

@@ -26,6 +26,7 @@ class AnchorForce:
         self._data, self._felt = simulation.data, simulation.tissue[region]
         law = simulation.model.numeric(f"{region}/law").data.tolist()
         self._law = Law(**{field.name: value for field, value in zip(fields(Law), law, strict=True)})
+        self._lock = float(simulation.model.numeric(f"{region}/contact").data[2])
         rows = simulation.model.numeric(f"{region}/edges").data.reshape(-1, 3)
         self._edges, self._weights = rows[:, :2].astype(np.int64), rows[:, 2:]
 
@@ -47,8 +48,7 @@ class AnchorForce:
         law, felt = self._law, self._felt
         moved, rate = felt.displacement(self._data), felt.rate(self._data)
         borne = law.a_n_m3 * moved
-        inward = moved[:, 0]
-        borne[:, 0] += (law.b_n_m4 * np.abs(inward) + law.c_n_m5 * inward**2) * inward
+        borne[:, 0] = law.normal_pa(moved[:, 0], lock=self._lock)
         borne += (law.damping_ns_m3 + law.damping_growth_ns_m4 * np.maximum(moved[:, :1], 0.0)) * rate
         force = felt.areas[:, None] * borne
         first, second = self._edges.T

@@ -27,7 +27,7 @@ from carecontact.validation.moves import surface_point
 from carecontact.validation.reference import ABDOMEN
 from carecontact.validation.result import Array, CheckResult, Measure
 from carecontact.validation.subject import COMFORT_ARM_DEG, Subject
-from carecontact.world.human.plates import CAP, FLOOR_GIVE, PLATES, REACHED_FROM_THE_SIDE, Plate, plate_body
+from carecontact.world.human.plates import ARM, FLOOR_GIVE, PLATES, REACHED_FROM_THE_SIDE, Give, Plate, plate_body
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -67,6 +67,8 @@ BELLY_ASIDE_M = ((0.08, 0.0), (-0.08, 0.0), (0.0, 0.08), (0.0, -0.08), (0.08, 0.
 it between the thighs) and the abdomen, as ``Site.beside_m``."""
 OUTWARD_M = 0.04
 """Farther outward on the chest, the ball meets the shoulder of one body and slips off another one."""
+HAND_N_M = 75_000.0
+"""Spring of the hand, which has no plate: ``ISO`` of "hands and fingers"."""
 STRIKER = "striker"
 DOWNWARD = (0.0, 0.0, -1.0)
 
@@ -76,8 +78,14 @@ class Site:
     """A part of the person, and its published response to a push."""
 
     name: str
-    plate: str | None
-    """Name of the plate; None for the region ``abdomen``."""
+    plate: str | None = None
+    """Name of the plate that is struck; None where skin is struck, or bone without a plate."""
+    hull: str | None = None
+    """Name of the hull whose middle is struck; by default that of the plate's body is."""
+    region: str | None = None
+    """Name of the region whose skin is struck."""
+    under: Give | None = None
+    """Give of the plate under the skin."""
     towards: tuple[float, float, float]
     """Direction of the blow in the world."""
     ball_m: float
@@ -96,11 +104,12 @@ class Site:
         return float(np.interp(energy_j, stored, self.force_n, right=np.nan))
 
     def most_n(self, energy_j: float) -> float:
-        """Return the force at which the standard's spring of the abdomen alone would hold an energy that the published
-        curve does not reach; NaN on other sites and up to there. Tissue over the bone can only take from it.
+        """Return the force at which the standard's spring of the bone under skin alone would hold an energy that the
+        published curve does not reach; NaN on other sites and up to there. Tissue over the bone can only take from it.
         """
-        beyond = self.plate is None and np.isnan(self.predicted_n(energy_j))
-        return float(np.sqrt(2 * FLOOR_GIVE.a_n_m * energy_j)) if beyond else np.nan
+        if self.under is None or np.isfinite(self.predicted_n(energy_j)):
+            return np.nan
+        return float(np.sqrt(2 * self.under.a_n_m * energy_j))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,26 +181,32 @@ class Claims:
 
 
 def sites() -> list[Site]:
-    """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, and the
-    abdomen.
+    """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, the bare bone
+    of the arm, and the skin of the soft regions.
+
+    The arm may move away as a whole, so that its sites evade.
     """
-    depth = np.linspace(0.0, 0.1, 2001)
+    depth, side = np.linspace(0.0, 0.1, 2001), REACHED_FROM_THE_SIDE
 
-    def of(plate: Plate, towards: tuple[float, float, float], name: str) -> Site:
-        return Site(name=name, plate=plate.name, towards=towards, ball_m=BALL_M, depth_m=depth,
-                    force_n=plate.give.force_n(depth))  # fmt: skip
+    def of(plate: Plate, towards: tuple[float, float, float], name: str, *, hull: str | None = None) -> Site:
+        return Site(name=name, plate=plate.name, hull=hull, towards=towards, ball_m=BALL_M, depth_m=depth,
+                    force_n=plate.give.force_n(depth), evades=hull is not None)  # fmt: skip
 
-    rows = {plate.name: plate for plate in PLATES}
-    struck = ("chest", CAP, "hip", "thigh", "shank")
-    found = [of(rows[f"{REACHED_FROM_THE_SIDE}_{part}"], DOWNWARD, part.replace("_", " ")) for part in struck]
-    # With the arm.
-    found[struck.index(CAP)] = replace(found[struck.index(CAP)], evades=True)
+    rows = {plate.name.removeprefix(f"{side}_"): plate for plate in PLATES if plate.name.startswith(side)}
+    found = [of(rows[part], DOWNWARD, part) for part in ("chest", "hip", "thigh", "shank")]
     # The person's right is the world's +y.
-    found.append(of(rows[f"{REACHED_FROM_THE_SIDE}_thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
-    assert ABDOMEN.indenter.size_m is not None
-    belly = Site(name="abdomen", plate=None, towards=DOWNWARD,
-                 ball_m=ABDOMEN.indenter.size_m, depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)  # fmt: skip
-    return [*found, belly]
+    found.append(of(rows["thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
+    ends = zip(ARM, ("shoulder cap", "elbow"), strict=True)
+    found += [of(rows[part], DOWNWARD, name, hull=f"{side}_{part}_near_end") for part, name in ends]
+    found.append(Site(name="hand", hull=f"{side}_hand", towards=DOWNWARD, ball_m=BALL_M, depth_m=depth,
+                      force_n=HAND_N_M * depth, evades=True))  # fmt: skip
+    ball = ABDOMEN.indenter.size_m
+    assert ball is not None
+    skin = Site(name="abdomen", region="abdomen", under=FLOOR_GIVE, towards=DOWNWARD, ball_m=ball,
+                depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)  # fmt: skip
+    arms = (replace(skin, name=part.replace("_", " "), region=part, under=rows[part].give, evades=True,
+                    depth_m=np.zeros(1), force_n=np.zeros(1)) for part in ARM)  # fmt: skip
+    return [*found, *arms, skin]
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -245,7 +260,7 @@ def _measures(blow: Blow, claims: Claims) -> Iterator[Measure]:
             yield Measure(name=f"{blow.name}: harder than the prediction of {blow.predicted_n:.1f} N", unit="%",
                           value=blow.off_percent, limit=TOLERANCE_PERCENT)  # fmt: skip
     elif np.isfinite(blow.most_n):
-        yield Measure(name=f"{blow.name}: harder than the spring of the abdomen, {blow.most_n:.1f} N", unit="%",
+        yield Measure(name=f"{blow.name}: harder than the spring of its bone, {blow.most_n:.1f} N", unit="%",
                       value=100 * (blow.peak_n / blow.most_n - 1), limit=TOLERANCE_PERCENT)  # fmt: skip
     yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
     yield Measure(name=f"{blow.name}: impulse over momentum before it goes through", value=blow.held, limit=STOPPED,
@@ -308,7 +323,7 @@ def strike_with_tool(subject: Subject) -> Blow:
     mass, speed, tip = (
         protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s, EMBODIMENTS[protocol.scene.tool].tip
     )  # fmt: skip
-    belly = Site(name=f"abdomen under the robot's tool ({protocol.scene.tool})", plate=None, towards=DOWNWARD,
+    belly = Site(name=f"abdomen under the robot's tool ({protocol.scene.tool})", region="abdomen", towards=DOWNWARD,
                  ball_m=tip.half_m[2], depth_m=np.zeros(1), force_n=np.zeros(1))  # fmt: skip
     simulation = Simulation(with_striker(subject.scene("forearm"), mass, tip))
     simulation.settle(COMFORT_ARM_DEG)
@@ -413,14 +428,17 @@ def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
     first = model.joint(f"{STRIKER}_x")
     at, dof = slice(first.qposadr[0], first.qposadr[0] + 3), slice(first.dofadr[0], first.dofadr[0] + 3)
     ball = int(model.body(STRIKER).geomadr[0])
-    hulls = (
-        [] if site.plate is None else [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_hull_")]
-    )
-    if site.plate is None:
-        centre = surface_point(simulation, "abdomen", site.beside_m) - (site.ball_m + GAP_M) * towards
+    hulls: list[int] = []
+    if site.region is not None:
+        centre = surface_point(simulation, site.region, site.beside_m) - (site.ball_m + GAP_M) * towards
     else:
+        hulls = [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_hull_")]
+        middle = (
+            data.geom(f"human_hull_{site.hull}").xpos if site.plate is None or site.hull
+            else data.body(plate_body(site.plate)).xipos
+        )  # fmt: skip
         # The person lies with the head toward +x and the right side toward +y.
-        centre = data.xipos[model.body(plate_body(site.plate)).id] - FAR_M * towards + np.array([*site.beside_m, 0.0])
+        centre = middle - FAR_M * towards + np.array([*site.beside_m, 0.0])
     for _ in range(APPROACHES):
         data.qpos[at] = into_base @ (centre - base.xpos)
         mujoco.mj_forward(model, data)

@@ -23,7 +23,7 @@ from carecontact.world.human.clearance import free_middle
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.library import load_body
 from carecontact.world.human.muscles import add_muscles
-from carecontact.world.human.plates import BELLY_FLOOR, plate_body
+from carecontact.world.human.plates import plate_body, plate_under
 from carecontact.world.human.pose import NOT_TURNED, ArmTurn, root_position, trunk_rotation
 from carecontact.world.human.refine import refined
 from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
@@ -137,7 +137,8 @@ def _add_person(
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
-        floor = plate_body(BELLY_FLOOR) if region == "abdomen" else None
+        under = plate_under(REGIONS[region].segment)
+        floor = None if under is None else plate_body(under)
         regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, floor=floor)
     return hinges, regions
 

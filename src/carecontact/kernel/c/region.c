@@ -62,8 +62,9 @@ static int has_numeric(const mjModel* m, const char* key, const char* name) {
 Law law_read(const mjModel* m, const Region* r) {
   const double* x = m->numeric_data + r->law_address;
   const double* contact = r->contact_address < 0 ? NULL : m->numeric_data + r->contact_address;
+  double rest = (1 - LOCK_FROM) * x[LAW_THICKNESS];
   return (Law){x[LAW_A], x[LAW_B], x[LAW_C], x[LAW_DAMPING], x[LAW_DAMPING_GROWTH], x[LAW_MASS], x[LAW_COUPLING],
-               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS],
+               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS], contact ? contact[CONTACT_LOCK] * x[LAW_A] / (rest * rest) : 0,
                contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
 }
 

@@ -43,8 +43,8 @@ enum {
 enum { LAW_A, LAW_B, LAW_C, LAW_DAMPING, LAW_DAMPING_GROWTH, LAW_MASS, LAW_COUPLING, LAW_MEMBRANE, LAW_FRICTION,
        LAW_CONTACT, LAW_THICKNESS, LAW_SIZE };
 
-// The numeric "<key>/contact" (LAYER_M and ENTRY_M in kernel/region.py). Where a region has none, both are 0.
-enum { CONTACT_LAYER, CONTACT_ENTRY, CONTACT_SIZE };
+// The numeric "<key>/contact" (LAYER_M, ENTRY_M and LOCK in kernel/region.py). Where a region has none, all are 0.
+enum { CONTACT_LAYER, CONTACT_ENTRY, CONTACT_LOCK, CONTACT_SIZE };
 
 // The numeric "<key>/options".
 enum { OPTION_REACH, OPTION_TOLERANCE, OPTION_SWEEPS, OPTION_LEDGER, OPTION_SIZE };
@@ -59,9 +59,14 @@ enum { TRIANGLE_CORNER = 0, TRIANGLE_AREA = 3, TRIANGLE_CELL = 4, TRIANGLE_SIZE 
 // of its area bears on one of them only.
 enum { POINTS_EACH = 4 };
 
+// Tissue of a limb that is pressed to more than this share of its thickness locks (docs/tissue.md): at w over that depth, the rest of
+// the thickness being h, its pressure is higher by LOCK a h (w / h)^3. Kept in step with carecontact/kernel/region.py.
+static const double LOCK_FROM = 0.6;
+
 // All of them are doubles, which law_sound adds up.
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
+  double lock;           // LOCK a / h^2 [N/m^5]
   double layer, entry;  // depth over which the contact layer stiffens, way over which skin is let in [m]
 } Law;
 
@@ -210,14 +215,26 @@ void rim_find(Region* r, const Law* law);
 void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in);
 void ledger(Region* r, const State* s, const Law* law);
 
+// How far beyond the depth from which it locks the tissue is pressed; skin that is pulled outward does not lock.
+static inline double law_locked(const Law* law, double x) {
+  double over = x - LOCK_FROM * law->thickness;
+  return over > 0 ? over : 0;
+}
+
 static inline double law_pressure(const Law* law, double x) {
-  double size = x < 0 ? -x : x;
-  return x * (law->a + size * (law->b + size * law->c));
+  double size = x < 0 ? -x : x, over = law_locked(law, x);
+  return x * (law->a + size * (law->b + size * law->c)) + law->lock * over * over * over;
 }
 
 static inline double law_tangent(const Law* law, double x) {
-  double size = x < 0 ? -x : x;
-  return law->a + size * (2 * law->b + 3 * size * law->c);
+  double size = x < 0 ? -x : x, over = law_locked(law, x);
+  return law->a + size * (2 * law->b + 3 * size * law->c) + 3 * law->lock * over * over;
+}
+
+// [J/m^2]
+static inline double law_energy(const Law* law, double x) {
+  double size = x < 0 ? -x : x, over = law_locked(law, x);
+  return x * x * (law->a / 2 + size * (law->b / 3 + size * law->c / 4)) + law->lock * over * over * over * over / 4;
 }
 
 static inline double law_damping(const Law* law, double x) { return law->damping + (x > 0 ? law->damping_growth * x : 0); }

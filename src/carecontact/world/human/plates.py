@@ -1,10 +1,10 @@
-"""Surfaces of trunk and legs that give way to a knock: light plates on damped slides, which carry hulls of their
-segment.
+"""Surfaces of trunk, legs and the soft arm that give way to a knock: light plates on damped slides, which carry hulls
+of their segment.
 
 Trunk and legs are one rigid piece of some 60 kg. A tool that hit hulls on it directly would feel the damper of MuJoCo's
 contact, whose force grows with the colliding mass (41 N for each kg of effective mass at 0.2 m/s), and nothing of a
 chest or a thigh. A plate is light, and its springs have published stiffness. The head, the neck, the feet,
-the left arm, the elbows, wrists and hands, and the middle of the back have none and stay hard.
+the left arm, the hands and the middle of the back have none: their contact is that of BARE_SOLREF.
 """
 
 from __future__ import annotations
@@ -30,12 +30,16 @@ patients; "A simple model to describe the relationship between compression force
 abstract 13048), and damping that grows with the depth (Gruben et al. 1993, J Biomech Eng 115:195, abstract), so that
 about 56 N s/m are left at 5 mm, as deep as knocks go (assumed to be in proportion to the depth). Assumed to hold for
 the other parts."""
-SIZE_M = 0.05
+SIZE_M = 0.02
 """Radius of gyration of a plate, which never turns relative to its segment."""
 SOLREF, SOLIMP = (0.004, 1.0), (0.98, 0.99, 0.001, 0.5, 2.0)
 """MuJoCo's parameters of the contact with a plate. Its time constant is as short as the step of 2 ms allows, so that
 the plate's spring and not the contact determines the force of a knock. The fast mode lengthens it to twice its own
 step."""
+BARE_SOLREF, BARE_SOLIMP = (0.04, 0.25), (0.95, 0.99, 0.001, 0.5, 2.0)
+"""The same where bone has no plate, as in the hand. Stiffness and damping of such a contact are in proportion to the
+colliding mass: 10 N/mm and 50 N s/m for each kg, a quarter of critical damping (our choice). 4.4 kg meet at most 45
+N/mm; in the standard, the hand's spring has 75 N/mm and the other arm's 30 and 40 N/mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +73,8 @@ ISO = "effective spring constant of the {} in ISO/TS 15066:2016, from secondary 
 GIVES: dict[str, Give] = {
     "chest": Give(a_n_m=5_490.0, b_n_m2=108_000.0, source=STERNUM),
     "shoulder": Give(a_n_m=35_000.0, source=ISO.format("back and shoulders")),
-    "shoulder_cap": Give(a_n_m=35_000.0, source=ISO.format("back and shoulders")),
+    "upper_arm": Give(a_n_m=30_000.0, source=ISO.format("upper arms and elbow joints")),
+    "forearm": Give(a_n_m=40_000.0, frequency_rad_s=SHANK_RAD_S, source=ISO.format("lower arms and wrist joints")),
     "flank": Give(a_n_m=10_000.0, source=ISO.format("abdomen")),
     "hip": Give(a_n_m=25_000.0, source=ISO.format("pelvis")),
     "thigh": Give(a_n_m=50_000.0, source=ISO.format("thighs")),
@@ -81,9 +86,12 @@ FLOOR_GIVE = Give(a_n_m=10_000.0, source=ISO.format("abdomen"))
 """The standard's spring is of the whole abdomen. The soft tissue over the plate, and what it yields, come on top."""
 SEGMENT_OF = {"chest": "thorax", "shoulder": "thorax", "flank": "abdomen", "hip": "pelvis"}
 """Part -> segment, for parts that are not named after a segment."""
-CAP = "shoulder_cap"
-"""Plate over the shoulder's joint, on the upper arm. Only the arm with soft regions has one; the other arm is rigid."""
-FRONT = np.array([0.0, -1.0, 0.0])
+ARM = ("upper_arm", "forearm")
+"""Parts of which only the arm with soft regions has plates; the other arm is rigid. The plate carries the bone under
+the soft region and the bare bone at its ends: shoulder cap and elbow, elbow and wrist."""
+FRONT, ACROSS_ARM = np.array([0.0, -1.0, 0.0]), np.array([-0.6, 0.0, 0.8])
+"""Directions in the mesh frame of the bind pose. The arms of the nine bodies hang there at 42 to 70 deg from straight
+down, so that the second is within 17 deg of square to them."""
 SIDEWAYS = {"left": np.array([1.0, 0.0, 0.0]), "right": np.array([-1.0, 0.0, 0.0])}
 REACHED_FROM_THE_SIDE = "right"
 """Side on which the robot stands; plates on this side also give way sideways."""
@@ -111,10 +119,11 @@ def _plates() -> Iterator[Plate]:
     for part, give in GIVES.items():
         for side, sideways in SIDEWAYS.items():
             reached = side == REACHED_FROM_THE_SIDE
-            if part == CAP and not reached:
+            if part in ARM and not reached:
                 continue
-            aside = [sideways] if reached else [-sideways] if part in INNER_SIDES else []
-            segment = f"{side}_upper_arm" if part == CAP else SEGMENT_OF.get(part, f"{side}_{part}")
+            across = ACROSS_ARM if part in ARM else sideways
+            aside = [across] if reached else [-sideways] if part in INNER_SIDES else []
+            segment = SEGMENT_OF.get(part, f"{side}_{part}")
             yield Plate(name=f"{side}_{part}", segment=segment, give=give, outward=np.array([FRONT, *aside]))
     yield Plate(name=BELLY_FLOOR, segment="abdomen", give=FLOOR_GIVE, outward=np.array([FRONT]))
 
@@ -124,6 +133,13 @@ PLATES = tuple(_plates())
 
 def plates_of(segment: str) -> list[Plate]:
     return [plate for plate in PLATES if plate.segment == segment]
+
+
+def plate_under(segment: str) -> str | None:
+    """Return the name of the plate that carries the bone under a segment's soft region; None: the segment does."""
+    if segment == "abdomen":
+        return BELLY_FLOOR
+    return next((plate.name for plate in plates_of(segment)), None)
 
 
 def plate_body(plate: str) -> str:

@@ -17,11 +17,14 @@ from carecontact.world.human.end_stops import add_end_stop
 from carecontact.world.human.joints import Hinge, hinges
 from carecontact.world.human.parting import parted
 from carecontact.world.human.plates import (
+    BARE_SOLIMP,
+    BARE_SOLREF,
     BELLY_FLOOR,
     SIDEWAYS,
     SOLIMP,
     SOLREF,
     add_plate,
+    plate_under,
     plates_of,
     trunk_sides,
     without_plates,
@@ -148,7 +151,7 @@ def _add_hull(spec: mujoco.MjSpec, body: Body, hull: _Hull, to: mujoco.MjsBody) 
     if len(points) > 400:
         points = points[:: len(points) // 400]
     spec.add_mesh(name=name, uservert=(points - body.joint_centre[hull.segment]).ravel(), maxhullvert=40)
-    solref, solimp = ((0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)) if hull.plate is None else (SOLREF, SOLIMP)
+    solref, solimp = (BARE_SOLREF, BARE_SOLIMP) if hull.plate is None else (SOLREF, SOLIMP)
     to.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
         friction=[0.5, 0.005, 0.0001], solref=list(solref), solimp=list(solimp), priority=1, **ROBOT_ONLY,
@@ -202,15 +205,10 @@ def _hulls(body: Body, soft: dict[str, str]) -> Iterator[_Hull]:
             back = trunk[trunk[:, 1] > body.joint_centre["thorax"][1]]
             yield _Hull(name="lower_back", segment=segment, points=back)
         elif segment in soft and isinstance(tube := REGIONS[soft[segment]].shape, Tube):
-            yield from _limb_ends(body, segment, tube, plate=_own_plate(segment))
+            yield from _limb_ends(body, segment, tube)
         else:
-            plate = _own_plate(segment)
-            yield _Hull(name=segment, segment=segment, points=body.vertices_of(segment), plate=plate)
-
-
-def _own_plate(segment: str) -> str | None:
-    """Return the name of the only plate of a limb's segment; None if it has none."""
-    return next((plate.name for plate in plates_of(segment)), None)
+            points = body.vertices_of(segment)
+            yield _Hull(name=segment, segment=segment, points=points, plate=plate_under(segment))
 
 
 def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
@@ -228,11 +226,9 @@ def _rib_cage(body: Body, points: Array) -> Iterator[_Hull]:
             yield _Hull(name=f"{side}_{part}", segment="thorax", points=mine[chosen], plate=f"{side}_{part}")
 
 
-def _limb_ends(body: Body, segment: str, tube: Tube, *, plate: str | None) -> Iterator[_Hull]:
-    """Yield the rigid ends of a soft limb beside its shell, for example shoulder cap and elbow, or elbow and wrist.
-
-    ``plate``: name of the plate that carries the near end.
-    """
+def _limb_ends(body: Body, segment: str, tube: Tube) -> Iterator[_Hull]:
+    """Yield the rigid ends of a soft limb beside its shell, for example shoulder cap and elbow, or elbow and wrist."""
+    plate = plate_under(segment)
     side = segment.partition("_")[0]
     start, along = tube.span
     points = body.vertices_of(segment, *(f"{side}_{kind}" for kind in tube.closed_by))
@@ -243,4 +239,4 @@ def _limb_ends(body: Body, segment: str, tube: Tube, *, plate: str | None) -> It
     near_end = points[near & (share > tube.near_end_from) & (share < start + 0.02)]
     yield _Hull(name=f"{segment}_near_end", segment=segment, points=near_end, plate=plate)
     far_end = points[near & (share > along - 0.02) & (share < 1.03)]
-    yield _Hull(name=f"{segment}_far_end", segment=segment, points=far_end)
+    yield _Hull(name=f"{segment}_far_end", segment=segment, points=far_end, plate=plate)

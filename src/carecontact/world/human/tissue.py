@@ -17,10 +17,10 @@ import numpy.typing as npt
 
 from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Tissue
-from carecontact.kernel.region import Mesh, add_region
+from carecontact.kernel.region import LOCK, Mesh, add_region
 from carecontact.regions import REGIONS, Tube
-from carecontact.world.human import plates
 from carecontact.world.human.body import Array, Body
+from carecontact.world.human.plates import BARE_SOLIMP, BARE_SOLREF, SOLIMP, SOLREF
 from carecontact.world.human.shell import Shell
 from carecontact.world.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, body_name
 
@@ -30,9 +30,6 @@ CELL_M = 0.0075
 """Side of a declared cell, for which pressure, shear and slip are recorded: half the width of the tool's tip. A round
 tip that passes over part of a cell wipes more of it than it touches at any moment. By geometry, a disc of 9 mm radius
 loses a tenth of its strip on cells of 15 mm, and a thirtieth on these."""
-SOLREF = (0.01, 1.0)
-SOLIMP = (0.94, 0.985, 0.003, 0.5, 2.0)
-"""MuJoCo's contact impedance of a core on rigid bone, which is soft at first touch. One on a plate has the plates'."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +91,8 @@ def add_tissue(
         areas=shell.area, cells=cells.of_triangle,
     )  # fmt: skip
     bone = spec.body(on or body_name(REGIONS[region].segment))
-    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger)
+    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger,
+               lock=LOCK if limb else 0.0)  # fmt: skip
     _add_core(spec, region, shell, tissue, origin, floor=floor)
     return SoftRegion(name=region, shell=shell, tissue=tissue, cells=cells)
 
@@ -122,7 +120,7 @@ def _add_core(
     width = CORE_SECTOR_RAD if limb else CORE_PIECE_M
     key = np.floor(middle / [CORE_PIECE_M, width] + [0.0, 0.5]).astype(np.int64)
     bone = spec.body(floor or body_name(REGIONS[region].segment))
-    solref, solimp = (SOLREF, SOLIMP) if floor is None else (plates.SOLREF, plates.SOLIMP)
+    solref, solimp = (BARE_SOLREF, BARE_SOLIMP) if floor is None else (SOLREF, SOLIMP)
     for number, piece in enumerate(np.unique(key, axis=0)):
         corners = np.unique(shell.triangles[(key == piece).all(1)])
         points = np.concatenate([inner[corners], axis[corners]])
