@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from carecontact.contract.protocol import Gates
-from carecontact.recording import Recording
+from carecontact.errors import RecordingError
+from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import METRICS, TrialScore, score_recording
 from carecontact.scoring.axis_passes import Wiping, wiping
 from carecontact.scoring.contact import find_contact
@@ -49,7 +50,7 @@ def test_a_touch_is_held_in_the_band_for_a_second(force: float, length: float, p
     assert score.c3_success is passes
     in_band = length if 1.0 <= force <= 6.0 else 0.0
     # For the mean over 0.1 s, each of the two steps of the force lies up to 0.05 s earlier or later.
-    assert score.additional["gentle_hold@1"] == pytest.approx(in_band, abs=0.101)
+    assert score.additional["gentle_hold@2"] == pytest.approx(in_band, abs=0.101)
 
 
 def test_a_hard_touch_is_told_so() -> None:
@@ -60,7 +61,7 @@ def test_a_hard_touch_is_told_so() -> None:
         targets_in_region=[(0.1, (0.0, 0.0, SIZE["forearm"][2] - 0.02))],
     )  # fmt: skip
     score = score_recording(commanded)
-    assert "the longest hold with 1 to 6 N was 0.04 s of 1 s; the longest contact was 2.4" in score.evidence
+    assert "the longest hold with 1 to 6 N was 0.04 s of 1 s; the tool's longest contact was 2.4" in score.evidence
     assert score.evidence.endswith("median 9.0 N.")
 
 
@@ -100,7 +101,7 @@ def test_the_length_passed_three_times_is_that_of_the_swing(amplitude: float, pe
     """A swing starts in the middle: 1.5 periods pass one half four times and the other twice."""
     recording = wiped(amplitude, periods=periods)
     score = score_recording(recording)
-    assert score.additional["axis_passed@1"] == pytest.approx(passed_mm / 1000, abs=0.006)
+    assert score.additional["axis_passed@2"] == pytest.approx(passed_mm / 1000, abs=0.006)
     assert score.c3_success is (passed_mm > 66)
 
 
@@ -119,7 +120,9 @@ def test_a_stroke_passes_each_part_between_its_ends_once() -> None:
     axis, on = np.array([-0.05, 0.0, 0.05, -0.05]), np.ones(4, np.bool_)
     track = Track(step=np.arange(4), surface=np.stack([axis, 0 * axis], axis=1), on=on, joined=on[1:])
     for length_m, passed in ((0.24, np.repeat([0, 2, 0], [70, 100, 70])), (0.08, np.full(80, 2))):
-        made = Wiping(track=track, force=np.full(4, 4.0), length_m=length_m, reversal_m=0.01, moving=on[1:])
+        made = Wiping(
+            track=track, force=np.full(4, 4.0), whole=np.full(4, 4.0), length_m=length_m, reversal_m=0.01, moving=on[1:]
+        )
         assert np.array_equal(made.passes(1.0), passed)
 
 
@@ -148,7 +151,7 @@ def test_strokes_in_one_direction_count_where_the_tool_is_lifted_between() -> No
     score = score_recording(
         make_recording("T3", duration=6.0, normal={"right_forearm": pressed}, tcp_in_region=path, protocol=GENTLE)
     )
-    assert score.additional["axis_passed@1"] == pytest.approx(0.095, abs=0.01)
+    assert score.additional["axis_passed@2"] == pytest.approx(0.095, abs=0.01)
     assert score.c3_success
 
 
@@ -166,7 +169,7 @@ def test_most_of_the_sliding_is_in_the_band(gentle: float, passes: bool) -> None
     """The first part of 8 s at 4 N, the rest at 12 N."""
     force = np.where(seconds(8.0) <= 8.0 * gentle, 4.0, 12.0)
     score = score_recording(wiped(0.05, periods=4.0, force=force))
-    assert score.additional["gentle_share@1"] == pytest.approx(gentle, abs=0.03)
+    assert score.additional["gentle_share@2"] == pytest.approx(gentle, abs=0.03)
     assert score.c3_success is passes
 
 
@@ -194,7 +197,7 @@ def test_a_push_has_a_least_and_a_most_way_a_force_and_a_time(
     t = seconds(6.0)
     score = pushed(way * np.clip((t - 3.1) / 0.2, 0, 1), force=hold(6.0, 3.0, 3.0 + length, force))
     assert score.failure_mode == mode
-    assert score.additional["wrist_from_onset@1"] == pytest.approx(way, abs=1e-4)
+    assert score.additional["wrist_from_onset@2"] == pytest.approx(way, abs=1e-4)
     if mode in ("insufficient_progress", "outside_band"):
         assert f"the wrist moved {way * 1000:.0f} mm, where 20 mm to 100 mm are required" in score.evidence
 
@@ -204,7 +207,7 @@ def test_what_a_person_moved_before_the_contact_is_not_pushed() -> None:
     own = 0.06 * np.clip(seconds(6.0) - 1.0, 0, 1)
     alone = pushed(own)
     assert alone.wrist_displacement_m == pytest.approx(0.06, abs=1e-4)
-    assert alone.additional["wrist_from_onset@1"] == pytest.approx(0.0, abs=1e-5)
+    assert alone.additional["wrist_from_onset@2"] == pytest.approx(0.0, abs=1e-5)
     assert not alone.c3_success
     assert pushed(own + 0.05 * np.clip(seconds(6.0) - 3.2, 0, 1)).c3_success
     assert score_recording(make_recording(
@@ -216,7 +219,7 @@ def test_each_contact_has_an_onset_of_its_own() -> None:
     """A brush at the beginning, the person moves by itself, then a contact that does not push."""
     force = hold(6.0, 0.5, 0.7, 2.0) + hold(6.0, 3.0, 5.0, 8.0)
     own = 0.06 * np.clip(seconds(6.0) - 1.0, 0, 1)
-    assert pushed(own, force=force).additional["wrist_from_onset@1"] == pytest.approx(0.0, abs=1e-5)
+    assert pushed(own, force=force).additional["wrist_from_onset@2"] == pytest.approx(0.0, abs=1e-5)
 
 
 @settings(max_examples=25, deadline=None)
@@ -262,14 +265,14 @@ def test_the_gates_own_values_are_among_those_of_their_sweeps() -> None:
 )  # fmt: skip
 def test_the_harder_band_is_reported_under_any_gates(recording: Recording, harder: float) -> None:
     assert score_recording(recording).c3_success
-    assert score_recording(recording).additional["harder_band@1"] == harder
+    assert score_recording(recording).additional["harder_band@2"] == harder
 
 
 def test_nothing_touched_is_na_and_no_pass() -> None:
     score = score_recording(make_recording("T3", protocol=GENTLE))
     assert not score.c3_success
-    assert score.additional["harder_band@1"] == 0.0
-    for name in ("gentle_hold@1", "axis_passed@1", "gentle_share@1", "wrist_from_onset@1"):
+    assert score.additional["harder_band@2"] == 0.0
+    for name in ("gentle_hold@2", "axis_passed@2", "gentle_share@2", "wrist_from_onset@2"):
         assert score.additional[name] is None
         assert name in METRICS
 
@@ -287,3 +290,49 @@ def test_a_gate_that_cannot_be_met_or_is_of_another_version_is_refused(
 ) -> None:
     with pytest.raises(ValidationError, match=words):
         Gates.model_validate(TABLE | {action: TABLE[action] | change})
+
+
+def beside(**parts: F64) -> dict[str, Any]:
+    """Arrays of what hand or links of the robot did of the force on the forearm, straight down."""
+    count = len(next(iter(parts.values())))
+    normal = np.zeros((count, 2, len(SEGMENTS)), np.float32)
+    for part, force in parts.items():
+        normal[:, ("hand", "links").index(part), SEGMENTS.index("right_forearm")] = force
+    vector = np.zeros((*normal.shape, 3), np.float32)
+    vector[..., 2] = -normal
+    return {"scorer/beside_force_in_world": vector, "scorer/beside_normal_force": normal}
+
+
+@pytest.mark.parametrize(
+    ("whole", "hand", "mode"),
+    [
+        (3.0, 0.0, None), (3.0, 1.0, None), (3.0, 2.5, "not_by_tool"), (3.0, 3.0, "not_by_tool"),
+        # The tool's 4 N are gentle, but the person bears 7 N; of 5 N, the tool's 0.9 N are too light.
+        (7.0, 3.0, "outside_band"), (1.5, 0.7, "outside_band"),
+    ],
+)  # fmt: skip
+def test_a_touch_is_the_tool_s_and_gentle_is_what_the_person_bears(whole: float, hand: float, mode: str | None) -> None:
+    force, part = (hold(4.0, 1.0, 3.0, newton) for newton in (whole, hand))
+    score = score_recording(
+        make_recording("T1", duration=4.0, normal={"right_forearm": force}, extra=beside(hand=part), protocol=GENTLE)
+    )
+    assert (score.c3_success, score.failure_mode) == (mode is None, mode)
+
+
+def test_a_push_and_a_scrub_are_the_tool_s_too() -> None:
+    for trial in (push(5.0, 0.05, protocol=GENTLE), wiped(0.05, periods=1.75)):
+        assert score_recording(trial).c3_success
+        by_links = beside(links=trial["scorer/normal_force"][:, SEGMENTS.index("right_forearm")])
+        score = score_recording(Recording(header=trial.header, arrays={**trial.arrays, **by_links}))
+        assert (score.c3_success, score.failure_mode) == (False, "not_by_tool")
+        assert "touched by the links, not by the tool" in (score.evidence or "")
+
+
+def test_parts_beyond_the_whole_are_refused() -> None:
+    trial = make_recording("T1", normal={"right_forearm": hold(3.0, 1.0, 2.0, 3.0)}, protocol=GENTLE)
+    more = beside(hand=hold(3.0, 1.0, 2.0, 3.5))
+    with pytest.raises(RecordingError, match="together at most the whole"):
+        score_recording(Recording(header=trial.header, arrays={**trial.arrays, **more}))
+    del more["scorer/beside_force_in_world"]
+    with pytest.raises(RecordingError, match="both or none"):
+        score_recording(Recording(header=trial.header, arrays={**trial.arrays, **more}))

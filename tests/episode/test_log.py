@@ -25,6 +25,8 @@ class Clock:
 
     def __init__(self) -> None:
         self.steps = 0
+        self.beside: tuple[np.ndarray, np.ndarray] | tuple[None, None] = (None, None)
+        """What parts of the robot beside its tip do from now on."""
 
     @property
     def time_s(self) -> float:
@@ -40,7 +42,8 @@ class Clock:
 
         return [
             Samples(
-                time_s=time, force=ramp(s, 3), normal=2 * ramp(s), centroid=3 * ramp(s, 3), human_joint=4 * ramp(3),
+                time_s=time, force=ramp(s, 3), normal=2 * ramp(s), centroid=3 * ramp(s, 3), beside_force=self.beside[0],
+                beside_normal=self.beside[1], human_joint=4 * ramp(3),
                 human_reaction=10 * ramp(3),
                 tcp_pose=5 * ramp(7), tcp_speed=6 * time, tcp_rotation_speed=7 * time, wrist=8 * ramp(3),
                 region_pose=9 * ramp(len(STANDARD_REGIONS), 7),

@@ -153,7 +153,8 @@ def test_ball_does_not_care_which_way_it_is_turned(restored: Bench) -> None:
 
 def test_the_skin_sinks_under_the_indenter_and_not_far_from_it(restored: Bench) -> None:
     restored.press(depth_m=0.004, speed_m_s=0.01)
-    distance, sunk = restored.skin()
+    places, sunk, _ = restored.skin()
+    distance = np.hypot(*places.T)
     under, far = distance < 0.006, distance > 0.04
     assert under.any()
     assert far.any()

@@ -143,6 +143,11 @@ class ReadsWrong(Subject):
         return simulation
 
 
+def limp_wrist(scene: Scene) -> None:
+    """The wrist of releases whose stiffness was a guess: a hand that hangs over the board's edge folds there."""
+    scene.model.jnt_stiffness[scene.model.joint("human_right_hand_flexion").id] = 0.3
+
+
 def unlimited(scene: Scene) -> None:
     for hinge in scene.hinges:
         scene.model.tendon_stiffnesspoly[scene.model.tendon(stop_name(hinge.name)).id] = 0.0

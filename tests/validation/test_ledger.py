@@ -76,3 +76,8 @@ def test_a_sharp_rim_with_little_friction_makes_no_energy(subject: Subject) -> N
     found = drag(subject.with_tissue("abdomen", slippery), "abdomen", PAD, press_n=3.0, speed_m_s=0.1, dt_s=0.001)
     assert abs(found.unexplained) < 0.02
     assert found.gain < 0.01
+
+
+def test_the_robot_s_own_tool_is_dragged_hard_and_pulled_slowly() -> None:
+    tools = [hard.tool.name for hard in ledger.of_the_layer("abdomen", energy_made.MITT)]
+    assert tools == ["mitt", "pad", "mitt"]

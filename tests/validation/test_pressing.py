@@ -30,7 +30,7 @@ def test_the_bench_presses_with_the_mitt_and_its_pile(subject: Subject, with_mit
             ("rigid", with_mitt, replace(tool(with_mitt), tip=replace(PANDA_MITT.tip, give_m3_n=0.0))),
         )
     }
-    assert force["cap"] < force["mitt"] < force["rigid"]
+    assert max(force["cap"], force["mitt"]) < force["rigid"]
 
 
 def test_the_rig_s_tool_is_the_mitt(subject: Subject, with_mitt: Subject) -> None:

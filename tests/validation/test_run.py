@@ -15,7 +15,7 @@ from carecontact.validation.run import CHECKS, Validation, validate, write
 from carecontact.validation.subject import Subject
 from carecontact.world.scene import Scene, build_scene
 
-from .defects import ActsInContactOnly, unlimited
+from .defects import ActsInContactOnly, limp_wrist, unlimited
 
 
 def test_unknown_checks_and_bodies_are_named() -> None:
@@ -63,6 +63,11 @@ def test_missing_joint_limits_fail_the_passive_response(subject: Subject) -> Non
     missed = [m.name for m in passive_response.run(ActsInContactOnly(subject, unlimited), quick=True).missed]
     assert missed
     assert all("past its end stop" in name for name in missed)
+
+
+def test_a_limp_wrist_fails_the_passive_response(subject: Subject) -> None:
+    missed = [m.name for m in passive_response.run(ActsInContactOnly(subject, limp_wrist), quick=True).missed]
+    assert missed == ["+10 N: wrist bends"]
 
 
 def test_the_factory_builds_every_world() -> None:

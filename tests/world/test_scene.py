@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import CAMERAS
 from carecontact.kernel.readings import Readings
 from carecontact.kernel.region import Law
@@ -20,7 +21,7 @@ from carecontact.world.human.plates import PLATES, plate_body
 from carecontact.world.human.pose import FIXED_SEGMENTS
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene, build_scene
-from carecontact.world.sensors import CONTACT_SLOTS, plate_sensor
+from carecontact.world.sensors import CONTACT_SLOTS, HAND_SENSOR, TIP_SENSOR, plate_sensor
 
 PROTOCOL = load_protocol()
 # Every body is built and settled in test_every_body.
@@ -124,13 +125,18 @@ def test_proxies_meet_only_the_bed(model: mujoco.MjModel) -> None:
 
 
 def test_every_contact_would_be_sensed(model: mujoco.MjModel) -> None:
-    """One net force and one normal sum for each segment of the recording; what a shell feels the plugin says."""
+    """One net force and one normal sum for each segment of the recording, and the normal sums of tip and hand; what a
+    shell feels the plugin says."""
     sensors = {model.sensor(i).name: i for i in range(model.nsensor)}
     surfaces = {s: body_name(s) for s in SEGMENTS}
     surfaces |= {plate_sensor(p.name): plate_body(p.name) for p in PLATES}
     expected = {f"{kind}_{name}" for kind in ("net", "normal") for name in surfaces}
     of_contact = {n for n, i in sensors.items() if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT}
-    assert of_contact == expected
+    assert of_contact == {*expected, TIP_SENSOR, HAND_SENSOR}
+    tip, hand = (model.sensor(name) for name in (TIP_SENSOR, HAND_SENSOR))
+    assert model.geom(tip.objid[0]).name == PANDA.tip.geom
+    assert model.body(hand.objid[0]).name == "robot_hand"
+    assert {model.body(sensor.refid[0]).name for sensor in (tip, hand)} == {body_name("pelvis")}
     for name in expected:
         kind, _, place = name.partition("_")
         i = sensors[name]

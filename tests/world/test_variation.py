@@ -3,6 +3,7 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from carecontact.cache_folder import CACHE_VARIABLE
 from carecontact.world.human.appearance import CLOTHES, HAIR, SKIN_TONES, draw_appearance, fine_paint
 from carecontact.world.human.library import load_body
-from carecontact.world.human.skin import TEXTURE_SIZE, Appearance, baked_texture
+from carecontact.world.human.skin import TEXTURE_SIZE, Appearance, baked_texture, painters
 from carecontact.world.light import Light, draw_light, shine
 
 
@@ -30,6 +31,16 @@ def test_the_shipped_texture_is_this_paint() -> None:
     painted = fine_paint(load_body("man-adult"), Appearance())
     assert painted.shape == (TEXTURE_SIZE, TEXTURE_SIZE, 3)
     np.testing.assert_array_equal(painted, baked_texture("man-adult"))
+
+
+def test_the_chest_shows_no_triangles() -> None:
+    """One tone for each large triangle made steps of up to 4 levels between texels, which looked like stripes."""
+    body = load_body("man-adult")
+    of_chest = np.array(body.segments)[body.owner[body.faces[:, 0]]] == "thorax"
+    chest = np.concatenate([[False], of_chest])[painters(body)]
+    inside = cv2.erode(chest.astype(np.uint8), np.ones((9, 9))) > 0
+    steps = np.abs(np.diff(baked_texture("man-adult").astype(int), axis=1)).max(-1)
+    assert steps[inside[:, 1:]].max() <= 2
 
 
 def test_paint_does_not_depend_on_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

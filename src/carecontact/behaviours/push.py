@@ -72,6 +72,7 @@ class PushFromOnsetGate(PressGate):
 
 class PushFromOnset(Press[PushFromOnsetGate]):
     gate = PushFromOnsetGate
+    by_tool = True
     harder = PushFromOnsetGate(force_n=3.0, duration_s=1.0, least_wrist_m=0.020, most_wrist_m=0.060)
     sweeps = (
         Sweep(name="push_force_n", field="force_n", values=(1.0, 3.0, 5.0), title="Push: force", unit="N"),
@@ -92,6 +93,9 @@ class PushFromOnset(Press[PushFromOnsetGate]):
             factor=1000.0,
         ),
     )
+
+    def holding(self, contact: Contact, gate: PushFromOnsetGate) -> Mask:
+        return super().holding(contact.of_tool, gate)
 
     def judge(self, contact: Contact, gate: PushFromOnsetGate, attempt: Attempt) -> Judgement:
         moved = wrist_from_onset(contact)
@@ -124,7 +128,7 @@ class PushFromOnset(Press[PushFromOnsetGate]):
         ]
 
     def progress(self, score: TrialScore) -> str:
-        moved = score.additional.get("wrist_from_onset@1")
+        moved = score.additional.get("wrist_from_onset@2")
         way = "" if moved is None else f"wrist moved {mm(moved)} from where the contact began, "
         return f"{way}pressed for {score.longest_on_s:.2f} s"
 

@@ -46,6 +46,7 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
     counts."""
 
     gate = ScrubPassesGate
+    by_tool = True
     harder = ScrubPassesGate(least_n=1.0, most_n=8.0, passed_m=0.080, passes=3, band_share=0.8)
     sweeps = (
         Sweep(
@@ -115,7 +116,7 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
         return [GatePart(name=name, needed=f"at least {need}", reached=had, met=met) for name, need, had, met in rows]
 
     def progress(self, score: TrialScore) -> str:
-        passed, share = (score.additional.get(name) for name in ("axis_passed@1", "gentle_share@1"))
+        passed, share = (score.additional.get(name) for name in ("axis_passed@2", "gentle_share@2"))
         told = [f"{mm(passed)} passed three times"] if passed is not None else []
         told += [f"{share:.0%} of the sliding gently"] if share is not None else []
         return ", ".join(told) or f"stroke {mm(score.stroke_m)}"

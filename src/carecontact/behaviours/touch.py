@@ -14,6 +14,7 @@ from carecontact.behaviours import (
     Gate,
     GatePart,
     Judgement,
+    Mask,
     Positive,
     Section,
     Sweep,
@@ -36,6 +37,7 @@ class GentleTouchGate(ForceBand):
 
 class GentleTouch(Behaviour[GentleTouchGate]):
     gate = GentleTouchGate
+    by_tool = True
     harder = GentleTouchGate(least_n=1.0, most_n=4.0, duration_s=1.5)
     sweeps = (
         Sweep(name="touch_least_n", field="least_n", values=(0.5, 1.0, 2.0), title="Touch: least force", unit="N"),
@@ -51,6 +53,9 @@ class GentleTouch(Behaviour[GentleTouchGate]):
             band_met=longest_run(held_in_band(contact, gate.least_n, gate.most_n)) >= least,
         )
 
+    def holding(self, contact: Contact, gate: GentleTouchGate) -> Mask:
+        return contact.tool_on
+
     def lost(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> bool:
         return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
 
@@ -61,14 +66,16 @@ class GentleTouch(Behaviour[GentleTouchGate]):
         held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
         return (
             f"the longest hold with {gate.least_n:g} to {gate.most_n:g} N was {held:.2f} s of {gate.duration_s:g} s; "
-            f"the longest contact was {result.longest_on_s:.2f} s"
-            f"{middle_force(held_force(contact)[contact.neighbourhood_on])}"
+            f"the tool's longest contact was {result.longest_on_s:.2f} s"
+            f"{middle_force(held_force(contact)[contact.tool_on])}"
         )
 
     def parts(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> list[GatePart]:
         held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
         return [
-            result.time_part("Touched the named region or beside it without interruption", gate.duration_s),
+            result.time_part(
+                "Touched the named region or beside it with the tool without interruption", gate.duration_s
+            ),
             GatePart(
                 name=f"Touched without interruption with {gate.least_n:g} to {gate.most_n:g} N",
                 needed=f"{gate.duration_s:g} s",
@@ -78,7 +85,7 @@ class GentleTouch(Behaviour[GentleTouchGate]):
         ]
 
     def progress(self, score: TrialScore) -> str:
-        held = score.additional.get("gentle_hold@1")
+        held = score.additional.get("gentle_hold@2")
         gently = "" if held is None else f", {held:.2f} s of it gently"
         return f"touched for {score.longest_on_s:.2f} s{gently}"
 

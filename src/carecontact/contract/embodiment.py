@@ -68,16 +68,23 @@ hand is permanently closed: a cap covers the fingertips. The cap is an ellipsoid
 no rims and no flat sides: the compiled tissue meets it in one point of each triangle, and the force does not jump where
 skin slides over it."""
 
+PILE_M3_N, FOAM_M3_N = 4e-7, 1e-7
+"""[m/Pa] How far pile and foam of the wash mitt give way under pressure. docs/tissue.md says what is from sources.
+
+The pile is terry cloth of 4 mm; piles are 2.5 to 9 mm high. It gives way by half, 2 mm, under 5 kPa, the largest
+pressure of the textile industry's test of compression (KES-FB3). That half is assumed.
+
+The foam is 10 mm of flexible polyurethane. Open cells have the modulus E = E_s r^2 and collapse at 0.05 E_s r^2, where
+r is the foam's density over the solid's, 1,200 kg/m^3, and E_s that of the solid, 45 MPa (Gibson and Ashby, Cellular
+Solids, 1997). It must not collapse where a nurse wipes, so that it bears 5 kPa: r = 0.047, 57 kg/m^3, E = 100 kPa."""
 PANDA_MITT = replace(
     PANDA,
     id="panda-mitt",
-    tip=Tip(geom="robot_tool_pad", half_m=(0.025, 0.035, 0.010), give_m3_n=4e-7),
+    tip=Tip(geom="robot_tool_pad", half_m=(0.025, 0.035, 0.014), give_m3_n=PILE_M3_N + FOAM_M3_N),
 )
-"""The same arm and hand with a wash mitt over the fingers: a rounded pad of 50 x 70 mm, 20 mm thick, about as large as
-the flat of three fingers. It is an ellipsoid like the cap and no box: skin that sinks into a soft box farther than its
-rims are round would be pressed against the walls. Its pile gives way by 2 mm under 5 kPa, which is assumed: terry cloth
-of 3 to 5 mm loses about half of its thickness between 0.05 and 5 kPa, the range of the textile industry's compression
-test (KES-FB3)."""
+"""The same arm and hand with a wash mitt over the fingers: a rounded pad of 50 x 70 mm, about as large as the flat of
+three fingers, and 28 mm thick, so that pile and foam lie over a stiff core. It is an ellipsoid like the cap and no box:
+skin that sinks into a soft box farther than its rims are round would be pressed against the walls."""
 
 EMBODIMENTS: dict[ToolName, Embodiment] = {"caps": PANDA, "mitt": PANDA_MITT}
 """``scene.tool`` of a protocol -> the robot."""

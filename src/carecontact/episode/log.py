@@ -37,6 +37,8 @@ STREAMS = {
     "scorer/region_pose_in_world": ("region_pose", "<f4"),
 }
 """Array of a recording -> field of ``Samples`` and dtype."""
+BESIDE = {"scorer/beside_force_in_world": "beside_force", "scorer/beside_normal_force": "beside_normal"}
+"""Array that only some recordings have -> field of ``Samples``, None where only the tip touched."""
 
 
 class Samples(Protocol):
@@ -44,6 +46,8 @@ class Samples(Protocol):
 
     @property
     def time_s(self) -> F64: ...
+    @property
+    def beside_normal(self) -> F64 | None: ...
 
 
 class TrialLog:
@@ -148,12 +152,25 @@ class TrialLog:
         """
         self._actions.append((time_s, len(self._observations) - 1, row))
 
+    def _beside(self) -> Arrays:
+        """Return what other parts of the robot than its tip did, if they touched the person at all."""
+        given = next((s for s in self._samples if s.beside_normal is not None), None)
+        if given is None:
+            return {}
+        out: Arrays = {}
+        for path, field in BESIDE.items():
+            shape = getattr(given, field).shape[1:]
+            rows = [(len(s.time_s), getattr(s, field)) for s in self._samples]
+            out[path] = np.concatenate([np.zeros((n, *shape)) if row is None else row for n, row in rows]).astype("<f4")
+        return out
+
     def arrays(self) -> Arrays:
         """Return all arrays of the recording so far."""
         out = self._empty | self._constants
         for path, (field, dtype) in STREAMS.items():
             if self._samples:
                 out[path] = np.concatenate([getattr(s, field) for s in self._samples]).astype(dtype)
+        out |= self._beside()
         if self._periods:
             out["scorer/period_time_s"] = np.array([p[0] for p in self._periods], "<f8")
             out["scorer/indentation_m"] = np.array([p[1] for p in self._periods], "<f4")

@@ -21,14 +21,16 @@ ROW = np.dtype(
     [
         ("force_n", "f8", 3), ("normal_n", "f8"), ("centroid_m", "f8", 3), ("depth_m", "f8"), ("pressure_pa", "f8"),
         ("area_m2", "f8"), ("points", "f8"), ("sweeps", "f8"), ("left_m", "f8"), ("stored_j", "f8"),
-        ("kinetic_j", "f8"), ("damped_j", "f8"), ("rubbed_j", "f8"),
+        ("kinetic_j", "f8"), ("damped_j", "f8"), ("rubbed_j", "f8"), ("beside_force_n", "f8", (2, 3)),
+        ("beside_normal_n", "f8", 2),
     ]
 )  # fmt: skip
 """One physics step: the force on the person in world coordinates, the sum of the forces along the tools' normals, the
 centre of pressure in world coordinates, the largest indentation, the largest pressure, the area in contact, the number
 of contact points, the number of sweeps of the solver, and the largest change in the last sweep. If the region keeps a
 ledger of energy, the row also has the energy at the end of the step, and the energy that dampers and friction dissipate
-during it."""
+during it. Last comes what of both sums of force is not the tip's, but of the robot's hand and then of its links
+(``region.add_region``)."""
 
 _ROW_SIZE = ROW.itemsize // 8
 

@@ -140,6 +140,7 @@ def add_region(
     mesh: Mesh,
     tissue: Tissue,
     tools: str,
+    tip: str = "",
     ledger: bool = False,
     layer_m: float = LAYER_M,
     entry_m: float = ENTRY_M,
@@ -154,6 +155,8 @@ def add_region(
         tissue: the constants of the tissue.
         tools: name of a body. The region can be touched by the geoms of this body and of the bodies below it whose
             contype has bit 1.
+        tip: name of the geom among them that is meant to touch. Of the force of any other, a row says whether it
+            belongs to the same body or to another; empty: all are meant to touch.
         ledger: whether to keep the energy of every step (``Readings``), which takes a tenth of the solver's time.
         layer_m: see LAYER_M.
         entry_m: see ENTRY_M.
@@ -176,7 +179,7 @@ def add_region(
     made = spec.add_plugin(name=name, plugin_name=library.PLUGIN, active=True)
     # The plugin is asked for the size of its state before the model has its numerics.
     counts = {kind: len(numbers[kind]) for kind in ("vertices", "edges", "triangles")} | {"cells": mesh.cell_count}
-    made.config = {"key": name, "tools": tools, **{kind: str(count) for kind, count in counts.items()}}
+    made.config = {"key": name, "tools": tools, "tip": tip, **{kind: str(count) for kind, count in counts.items()}}
     bone.plugin.active, bone.plugin.name, bone.plugin.plugin_name, bone.plugin.id = True, name, library.PLUGIN, made
 
 

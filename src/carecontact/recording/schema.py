@@ -78,6 +78,8 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as it was shown, with the calibration's error; else NaN"),
     "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where each camera is; 0 for one that the protocol lacks"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
+    "scorer/beside_force_in_world": ("f4", "(T, 2, S, 3) [N] what of the robot's force its hand did, and its links"),
+    "scorer/beside_normal_force": ("f4", "(T, 2, S) [N] the same of the normal force"),
     "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of kernel.region.Law; 0 on a rigid one"),
     "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
     "scorer/cell_area_m2": ("f4", "(C,)"),
@@ -97,7 +99,8 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums what happened
 since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
-protocol: on a body of another build, and where the seed draws the tissue. What the person does by itself is there
+protocol: on a body of another build, and where the seed draws the tissue. ``scorer/beside_*`` are there where another
+part of the robot than its tip (``contract.embodiment.Tip``) touched the person. What the person does by itself is there
 where the protocol lets it do something
 (``contract.protocol.alive``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``

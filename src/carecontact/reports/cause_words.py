@@ -11,6 +11,9 @@ def cause_text(score: TrialScore) -> str:
     """Return what the policy, the robot or the benchmark did, according to the failure mode and the evidence that is
     kept with the score; empty for a trial without a cause."""
     evidence = score.evidence or ""
+    if score.failure_mode == "not_by_tool":
+        # The last sentence of the evidence says which part it was.
+        return "the region was touched by the robot's hand or links, not by its tool"
     match score.attribution:
         case "planning":
             return _planning(score, evidence)

@@ -22,6 +22,7 @@ MODE_MEANING = {
     ),
     "no_target_contact": "no contact with the person was strong and long enough to count",
     "off_target_contact": "the person was touched, but never on the named region",
+    "not_by_tool": "the region was touched mostly by the robot's hand or links, not by its tool",
     "lost_contact": "contact with the region broke off before the gate was met",
     "insufficient_progress": (
         "touched, but the touch was too short, the push too small, or the strokes or turns too few"

@@ -23,7 +23,9 @@ class Wiping:
 
     track: Track
     force: F64
-    """(N,) held force [N]"""
+    """(N,) held force of the tool [N]"""
+    whole: F64
+    """(N,) held force of the whole robot [N]"""
     length_m: float
     """Length of the region's axis."""
     reversal_m: float
@@ -62,19 +64,21 @@ class Wiping:
         return float((self.passes(least_n) >= times).sum()) * STEP_M
 
     def share_in_band(self, least_n: float, most_n: float) -> float | None:
-        """Share of the time of sliding with the force in this band; None where the tool never slid."""
-        force = self.force[1:][self.moving]
-        return float(in_band(force, least_n, most_n).mean()) if len(force) else None
+        """Share of the time of sliding with at least ``least_n`` of the tool and at most ``most_n`` of the whole robot;
+        None where the tool never slid."""
+        tool, whole = self.force[1:][self.moving], self.whole[1:][self.moving]
+        return float(in_band(tool, whole, least_n, most_n).mean()) if len(tool) else None
 
 
 def wiping(contact: Contact) -> Wiping:
     """Return how the tool slid over the whole trial, because what slid too hard counts in whichever contact it was."""
-    definition, track = contact.protocol.contact, surface_track(contact)
+    definition, track = contact.protocol.contact, surface_track(contact.of_tool)
     speed = np.linalg.norm(np.diff(track.surface, axis=0), axis=1) / np.diff(contact.time_s[track.step])
     region = contact.recording.header.regions.index(contact.task.region)
     return Wiping(
         track=track,
-        force=held_force(contact)[track.step],
+        force=held_force(contact.of_tool)[track.step],
+        whole=held_force(contact)[track.step],
         length_m=float(contact.recording["scorer/region_size_m"][region, 0]),
         reversal_m=definition.reversal_m,
         moving=track.joined & (speed >= definition.active_speed_m_s),

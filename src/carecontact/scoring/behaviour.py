@@ -71,10 +71,13 @@ class Behaviour(ABC, Generic[G]):
     """Whether the action is meant to move a limb. Results pool the joint-limit margin C2 over such actions alone: it
     says little where nothing was meant to move."""
 
+    by_tool: ClassVar[bool] = False
+    """Whether only contact of the robot's tool counts (``Contact.of_tool``). A trial that fails where hand and links
+    applied most of the contact impulse has then the failure mode ``not_by_tool``."""
     sets: ClassVar[Mapping[str, Behaviour[Any]]] = {}
     """``gates.set`` of a protocol -> the Behaviour that scores the action under that set in place of this one."""
     harder: ClassVar[Section | None] = None
-    """Stricter values of the gate, which no trial has to meet; ``harder_band@1`` reports which trials would meet
+    """Stricter values of the gate, which no trial has to meet; ``harder_band@2`` reports which trials would meet
     them."""
 
     def __init_subclass__(cls) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil
 
 import numpy as np
@@ -46,6 +46,13 @@ class Contact:
     """(T,) whether any segment of the neighbourhood is on."""
     neighbourhood_force: F64
     """(T,) norm of the force summed over the neighbourhood [N], unfiltered."""
+    tool_normal: F64 | None
+    """(T, K) what the robot's tool alone did of ``filtered_normal`` on each segment of the neighbourhood [N]; None
+    where no other part of the robot touched the person."""
+    tool_on: Mask
+    """(T,) whether any segment of the neighbourhood would be on with the tool's force alone."""
+    tool_force: F64
+    """(T,) norm of the tool's force summed over the neighbourhood [N], unfiltered."""
     valid: bool
     reported: int | None
     """The target if touched, else the segment with the largest impulse, None if nothing was touched."""
@@ -82,6 +89,17 @@ class Contact:
         """(N,) reported segment's force norm over the contact window [N]; empty without contact."""
         return self.force_norm[self.window, self.reported] if self.reported is not None else np.empty(0)
 
+    @property
+    def of_tool(self) -> Contact:
+        """The same trial, in which contact near the region is the tool's alone; segments bear what they bore."""
+        return replace(self, neighbourhood_on=self.tool_on, neighbourhood_force=self.tool_force)
+
+    @property
+    def tool_share(self) -> float | None:
+        """Share of the neighbourhood's contact impulse that the tool applied; None without any."""
+        whole = float(self.neighbourhood_force[self.neighbourhood_on].sum())
+        return float(self.tool_force[self.neighbourhood_on].sum()) / whole if whole > 0 else None
+
     @cached_property
     def filtered_force(self) -> F64:
         """(T,) reported segment's force norm [N] after the zero-phase low pass of the filtered peak; empty without."""
@@ -108,12 +126,19 @@ def find_contact(recording: Recording) -> Contact:
     normal = recording["scorer/normal_force"].astype(np.float64)
     filtered = np.zeros_like(normal)
     felt = (normal != 0).any(axis=0)  # most segments are never touched, and the filter keeps their zeros
-    filtered[:, felt] = low_pass(normal[:, felt], cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
+    causal = partial(low_pass, cutoff_hz=definition.filter_hz, sample_hz=1.0 / dt, zero_phase=False)
+    filtered[:, felt] = causal(normal[:, felt])
     # Truth first, rows second: a reduction over the short inner axis or over floats takes ten times as long.
     pushed = (force != 0).any(axis=0).any(axis=1)
     norm = np.zeros_like(normal)
     norm[:, pushed] = np.linalg.norm(force[:, pushed].astype(np.float64), axis=-1)
     near = force[:, neighbourhood].astype(np.float64).sum(axis=1)
+    by_tool, tool_normal = near, None
+    if "scorer/beside_normal_force" in recording:
+        beside = recording["scorer/beside_force_in_world"][:, :, neighbourhood].astype(np.float64)
+        by_tool = near - beside.sum(axis=(1, 2))
+        beside = recording["scorer/beside_normal_force"][:, :, neighbourhood].astype(np.float64)
+        tool_normal = causal(np.maximum(normal[:, neighbourhood] - beside.sum(axis=1), 0.0))
     never = np.zeros(len(normal), np.bool_)
     bare = Contact(
         recording=recording,
@@ -128,6 +153,9 @@ def find_contact(recording: Recording) -> Contact:
         neighbourhood=neighbourhood,
         neighbourhood_on=never,
         neighbourhood_force=np.linalg.norm(near, axis=-1),
+        tool_normal=tool_normal,
+        tool_on=never,
+        tool_force=np.linalg.norm(by_tool, axis=-1),
         valid=False,
         reported=None,
         window=never,
@@ -149,11 +177,13 @@ def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
         # The filter lags, so of a knock of a few samples it can be on only when the force, and the impulse, are over.
         most = int(np.flatnonzero(touched)[np.argmax(impulse[touched])])
         reported = contact.target if on[:, contact.target].any() else most
+    near, alone = any_column(on, contact.neighbourhood), contact.tool_normal
     return replace(
         contact,
         on=on,
         impulse_ns=impulse,
-        neighbourhood_on=any_column(on, contact.neighbourhood),
+        neighbourhood_on=near,
+        tool_on=near if alone is None else hysteresis(alone, on=on_n, off=off_n).any(axis=1),
         valid=int(any_column(on, np.flatnonzero(touched).tolist()).sum())
         >= steps(definition.valid_total_s, contact.dt_s),
         reported=reported,

@@ -4,7 +4,6 @@ hold."""
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.scoring.contact import Contact, Mask
 from carecontact.scoring.filters import F64
@@ -30,11 +29,12 @@ def held_force(contact: Contact) -> F64:
     return np.round((total[stop] - total[start]) / (stop - start), DIGITS)
 
 
-def in_band(force: npt.NDArray[np.float64], least_n: float, most_n: float) -> Mask:
-    """Whether each force lies in [least_n, most_n]."""
-    return (force >= least_n) & (force <= most_n)
+def in_band(tool: F64, whole: F64, least_n: float, most_n: float) -> Mask:
+    """Whether at each step the tool's force is at least ``least_n`` and that of the whole robot at most ``most_n``."""
+    return (tool >= least_n) & (whole <= most_n)
 
 
 def held_in_band(contact: Contact, least_n: float, most_n: float) -> Mask:
-    """(T,) steps in which the neighbourhood is touched and the held force is in the band."""
-    return contact.neighbourhood_on & in_band(held_force(contact), least_n, most_n)
+    """(T,) steps in which the tool touches the neighbourhood, its held force is at least ``least_n``, and that of the
+    whole robot at most ``most_n``."""
+    return contact.tool_on & in_band(held_force(contact.of_tool), held_force(contact), least_n, most_n)

@@ -131,15 +131,15 @@ def wrist_displacement(contact: Contact) -> tuple[float, float]:
 
 
 def wrist_from_onset(contact: Contact) -> float:
-    """Largest horizontal distance of the wrist from where it was when the contact episode began [m]; of all episodes,
-    while the neighbourhood is on.
+    """Largest horizontal distance of the wrist from where it was when the contact episode began [m]; of all episodes of
+    the tool's contact, while the tool touches the neighbourhood.
 
     What the person does before the contact does not count. What it does during the contact does: the recording has one
     way of one wrist, which person and robot make together, and no part of it belongs to one of them.
     """
     wrist = contact.recording["scorer/wrist_in_world"][:, :2].astype(np.float64)
     moved = 0.0
-    for start, stop in episodes(contact):
+    for start, stop in episodes(contact.of_tool):
         way = np.linalg.norm(wrist[start:stop] - wrist[start], axis=1)
-        moved = max(moved, float(way[contact.neighbourhood_on[start:stop]].max(initial=0.0)))
+        moved = max(moved, float(way[contact.tool_on[start:stop]].max(initial=0.0)))
     return moved

@@ -14,6 +14,7 @@ FailureMode = Literal[
     "safety_truncation",
     "no_target_contact",
     "off_target_contact",
+    "not_by_tool",
     "lost_contact",
     "insufficient_progress",
     "outside_band",

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carecontact.scoring.ask import ask
+from carecontact.scoring.behaviour import behaviour_of
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.gate import Gate
 from carecontact.scoring.joints import joints_beyond, joints_consumed
 from carecontact.scoring.metrics.c1_peak_force import peak_of_segments
 from carecontact.scoring.result import Anatomy, FailureMode
+
+MOST = 0.5
+"""Share of the contact impulse from which on the tool applied most of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +93,8 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
         return "no_target_contact"
     if anatomy == "off_target":
         return "off_target_contact"
+    if not gate.success and _by_another_part(contact):
+        return "not_by_tool"
     if not gate.time_met and ask(contact, "lost", contact, contact.protocol.gates.of(contact.task.action), gate):
         return "lost_contact"
     if not gate.success and gate.time_met and gate.progress_met and not gate.band_met:
@@ -97,3 +103,9 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
     if not gate.success and not (gate.progress_met and ended == "time_limit"):
         return "insufficient_progress"
     return "wrong_share" if gate.success else "time_limit"
+
+
+def _by_another_part(contact: Contact) -> bool:
+    """Whether the tool has to do it, and hand and links of the robot applied most of the contact impulse."""
+    behaviour, share = behaviour_of(contact.task.action, contact.protocol.gates.set), contact.tool_share
+    return behaviour.by_tool and share is not None and share < MOST

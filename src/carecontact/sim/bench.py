@@ -296,18 +296,18 @@ class Bench:
         """(N, 3) of the shell's vertices at the end of the last press: inward, and along two tangents [m]."""
         return self.felt.displacement(self._data).copy()
 
-    def skin(self) -> tuple[Array, Array]:
-        """The surface at the end of the last press: (n,) distance of its vertices from the indenter's axis before the
-        press, and (n,) how far each has moved inward along that axis [m]. Of the side that is pressed."""
+    def skin(self) -> tuple[Array, Array, Array]:
+        """The surface at the end of the last press: (n, 2) where its vertices were before, across and along from the
+        indenter's axis, and (n,) how far each has moved inward along that axis and along its own normal [m]. Of the
+        side that is pressed."""
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, self._data.mocap_quat[0])
-        inward = -turn.reshape(3, 3)[:, 2]
+        along, across, outward = turn.reshape(3, 3).T
         from_tip = self.felt.places - self._data.mocap_pos[0]
-        depth = from_tip @ inward
-        distance = np.linalg.norm(from_tip - np.outer(depth, inward), axis=1)
-        facing = depth < self.tissue.thickness_m
+        facing = -from_tip @ outward < self.tissue.thickness_m
         moved = self.felt.vertices(self._data) - self.felt.places
-        return distance[facing], (moved @ inward)[facing]
+        places = from_tip @ np.stack([across, along], 1)
+        return places[facing], -(moved @ outward)[facing], self.felt.displacement(self._data)[facing, 0]
 
     def anchor_force(self) -> Array:
         """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""

@@ -51,9 +51,10 @@ def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array
     """Put the mocap target at a TCP pose (7,) in the robot's base frame."""
     base = model.body(PANDA.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
-    rotation = matrix_from_quat(model.body_quat[base])
-    data.mocap_pos[mocap] = model.body_pos[base] + rotation @ pose_in_base[:3]
-    mujoco.mju_mulQuat(data.mocap_quat[mocap], model.body_quat[base], np.asarray(pose_in_base[3:], np.float64))
+    mujoco.mju_mulPose(
+        data.mocap_pos[mocap], data.mocap_quat[mocap], model.body_pos[base], model.body_quat[base], pose_in_base[:3],
+        pose_in_base[3:],
+    )  # fmt: skip
 
 
 def target_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
@@ -175,6 +176,7 @@ class Posture:
         self._joints = slice(int(first.qposadr[0]), int(first.qposadr[0]) + count)
         self._tcp = model.site(PANDA.tcp_site).id
         self._jacobian, self._mobility = np.zeros((6, model.nv)), np.zeros((6, model.nv))
+        self._wrench = np.zeros(6)
 
     def torque(self, data: mujoco.MjData) -> Array:
         """(7,) joint torque.
@@ -184,10 +186,12 @@ class Posture:
         """
         off = self._posture - data.qpos[self._joints]
         torque = POSTURE_STIFFNESS * off - POSTURE_DAMPING * data.qvel[self.dofs]
-        torque *= min(1.0, POSTURE_TORQUE_NM / max(float(np.linalg.norm(torque)), 1e-9))
+        torque *= min(1.0, POSTURE_TORQUE_NM / max(mujoco.mju_norm(torque), 1e-9))
         mujoco.mj_jacSite(self._model, data, self._jacobian[:3], self._jacobian[3:], self._tcp)
         mujoco.mj_solveM(self._model, data, self._mobility, self._jacobian)
         jacobian, mobility = self._jacobian[:, self.dofs], self._mobility[:, self.dofs]
         # The ridge keeps a singular posture finite; it leaves 1e-6 of the torque unprojected elsewhere.
-        wrench = np.linalg.solve(jacobian @ mobility.T + RIDGE, mobility @ torque)
-        return torque - jacobian.T @ wrench
+        factor = jacobian @ mobility.T + RIDGE
+        mujoco.mju_cholFactor(factor, 0.0)
+        mujoco.mju_cholSolve(self._wrench, factor, mobility @ torque)
+        return torque - jacobian.T @ self._wrench

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -25,7 +26,7 @@ from carecontact.world.human.plates import PLATES
 from carecontact.world.human.pose import lying_pose_deg, rest_deg
 from carecontact.world.human.skeleton import body_name
 from carecontact.world.scene import Scene
-from carecontact.world.sensors import plate_sensor
+from carecontact.world.sensors import HAND_SENSOR, TIP_SENSOR, plate_sensor
 
 F64 = npt.NDArray[np.float64]
 SOLVER_WARNINGS = (
@@ -33,6 +34,8 @@ SOLVER_WARNINGS = (
     mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL, mujoco.mjtWarning.mjWARN_INERTIA,
 )  # fmt: skip
 
+ROUNDING = 1e-9
+"""Share of a force that is a difference of two sums of the same numbers."""
 UNSOLVED_M = 1e-5
 """The tissue counts as unsolved where a vertex still moved farther than this in the solver's last sweep, where more
 points touched than the region's state has rows for, and where the tissue's law or a result is not a finite number."""
@@ -60,6 +63,10 @@ class Samples:
     """(n, S)"""
     centroid: F64
     """(n, S, 3)"""
+    beside_force: F64 | None
+    """(n, 2, S, 3) the part of ``force`` by the robot's hand, and by its links; None where only its tip touched"""
+    beside_normal: F64 | None
+    """(n, 2, S) the same of ``normal``"""
     human_joint: F64
     """(n, J)"""
     human_reaction: F64
@@ -303,15 +310,17 @@ class Simulation:
 
     def _samples(self, count: int) -> Samples:
         _, values = self.history.last(self.data, count)
-        self.normal_sum_truncated |= self._read.overfull(values)
         felt = self._rings.last(self.data, count)
         # Not `>`: what is not a number is unsolved too.
         self._unsolved |= bool((~(felt["left_m"] <= UNSOLVED_M)).any())
-        return self._read.samples((self._steps + np.arange(count)) * self.model.opt.timestep, values, felt)
+        time_s = (self._steps + np.arange(count)) * self.model.opt.timestep
+        samples, overfull = self._read.samples(time_s, values, felt)
+        self.normal_sum_truncated |= overfull
+        return samples
 
 
 class _Columns:
-    """Where each stream lies in a row of sensor values, as index arrays: one gather a stream."""
+    """Where each stream lies in a row of sensor values."""
 
     SLOT = 4
     """Numbers in a contact slot of the normal sensors: found, then force in the contact frame, normal first."""
@@ -320,37 +329,46 @@ class _Columns:
         def span(*names: str) -> npt.NDArray[np.int64]:
             return np.array([np.arange(history.columns(n).start, history.columns(n).stop) for n in names])
 
+        gathered: list[npt.NDArray[np.int64]] = []
+
+        def stream(columns: npt.NDArray[np.int64]) -> Callable[[F64], F64]:
+            """Have columns (...) gathered in every period; return what takes them, (n, ...), from what was gathered."""
+            first, shape = sum(map(np.size, gathered)), columns.shape
+            gathered.append(columns)
+            return lambda row: row[:, first : first + columns.size].reshape(-1, *shape)
+
         regions = protocol.regions
         self._soft = np.array([SEGMENTS.index(REGIONS[r].segment) for r in protocol.soft_regions])
         # Net force and its centroid (S, 6) of the rigid surfaces.
-        self._net = span(*(f"net_{s}" for s in SEGMENTS))
+        self._net = stream(span(*(f"net_{s}" for s in SEGMENTS)))
         normal = span(*(f"normal_{s}" for s in SEGMENTS))
-        self._found, self._normal = normal[:, 0], normal[:, 1 :: self.SLOT]
+        self._found, self._normal = stream(normal[:, 0]), normal[:, 1 :: self.SLOT]
         # (S, plates) 1 where a plate belongs to the surface of a segment, else 0.
         self._plates_of = np.array([[float(plate.segment == s) for plate in PLATES] for s in SEGMENTS])
         self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in PLATES))
         normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in PLATES))
-        self._plate_found, self._plate_normal = normal[:, 0], normal[:, 1 :: self.SLOT]
+        self._plate_found, self._plate_normal = stream(normal[:, 0]), normal[:, 1 :: self.SLOT]
+        self._parts = span(TIP_SENSOR, HAND_SENSOR)[:, 1 :: self.SLOT]
         self.joints = span(*(f"q_{hinge.name}" for hinge in hinges))[:, 0]
+        self._angles = stream(self.joints)
         self._range = np.radians([hinge.range_deg for hinge in hinges]).T
         self._stop = np.array([cubic_nm_rad3(hinge.name) for hinge in hinges])
-        self._tcp_pose = np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]])
-        self._tcp_velocity, self._tcp_rotation = span("tcp_velocity")[0], span("tcp_rotation")[0]
-        self._wrist = span("wrist_position")[0]
-        self._regions = np.concatenate(
+        self._tcp_pose = stream(np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]]))
+        self._tcp_rates = stream(span("tcp_velocity", "tcp_rotation"))
+        self._wrist = stream(span("wrist_position")[0])
+        self._regions = stream(np.concatenate(
             [span(*(f"region_{r}_position" for r in regions)), span(*(f"region_{r}_quat" for r in regions))], 1
-        )
+        ))  # fmt: skip
+        self._gathered = np.concatenate([columns.ravel() for columns in gathered])
 
-    def overfull(self, values: F64) -> bool:
-        """Whether a normal sum misses contacts that found no slot."""
-        return any(
-            bool((values.take(found, 1) > normal.shape[1]).any())
-            for found, normal in ((self._found, self._normal), (self._plate_found, self._plate_normal))
-        )
+    def samples(self, time_s: F64, values: F64, felt: npt.NDArray[np.void]) -> tuple[Samples, bool]:
+        """Return the samples, and whether a sum of normal forces misses contacts that found no slot.
 
-    def samples(self, time_s: F64, values: F64, felt: npt.NDArray[np.void]) -> Samples:
-        """Args: felt: (n, R) rows of ``kernel.readings.ROW``, of the protocol's soft regions."""
-        rigid = values.take(self._net, 1)
+        ``felt``: (n, R) rows of ``kernel.readings.ROW``, of the protocol's soft regions.
+        """
+        row = values.take(self._gathered, 1)
+        rigid, found, on_plate = self._net(row), self._found(row), self._plate_found(row)
+        overfull = found.max() > self._normal.shape[1] or on_plate.max() > self._plate_normal.shape[1]
         # The net force acts on the second body of the pair, the human.
         force = rigid[..., :3].copy()
         force[:, self._soft] += felt["force_n"]
@@ -360,22 +378,55 @@ class _Columns:
         centroid[:, self._soft] += of_shell * felt["centroid_m"]
         weight[:, self._soft] += of_shell
         # In the order of the slots, whatever else numpy would find faster: the sum's last bit depends on it.
-        normal = np.abs(values[:, self._normal]).sum(2) if rigid.any() else np.zeros(weight.shape[:2])
+        hard = np.abs(values[:, self._normal]).sum(2) if rigid.any() else np.zeros(weight.shape[:2])
+        normal, net = hard.copy(), rigid[..., :3]
         normal[:, self._soft] += felt["normal_n"]
-        if values.take(self._plate_found, 1).any():
+        if on_plate.any():
             of_plate = values[:, self._plate_net]
             share = lengths(of_plate[..., :3])[..., None]
-            force += self._plates_of @ of_plate[..., :3]
+            on_plates = self._plates_of @ of_plate[..., :3]
+            force += on_plates
+            net = net + on_plates
             centroid += self._plates_of @ (share * of_plate[..., 3:])
             weight += self._plates_of @ share
-            normal += np.abs(values[:, self._plate_normal]).sum(2) @ self._plates_of.T
+            plates = np.abs(values[:, self._plate_normal]).sum(2) @ self._plates_of.T
+            normal += plates
+            hard += plates
         np.divide(centroid, weight, out=centroid, where=weight > 0)
-        angle = values.take(self.joints, 1)
-        return Samples(
-            time_s=time_s, force=force, normal=normal, centroid=centroid, human_joint=angle,
+        angle, rates = self._angles(row), lengths(self._tcp_rates(row))
+        beside_force, beside_normal = self._beside(values, felt, net, hard)
+        samples = Samples(
+            time_s=time_s, force=force, normal=normal, centroid=centroid, beside_force=beside_force,
+            beside_normal=beside_normal, human_joint=angle,
             human_reaction=end_stop_nm(past_range(angle, *self._range), self._stop),
-            tcp_pose=values.take(self._tcp_pose, 1),
-            tcp_speed=lengths(values.take(self._tcp_velocity, 1)),
-            tcp_rotation_speed=lengths(values.take(self._tcp_rotation, 1)),
-            wrist=values.take(self._wrist, 1), region_pose=values.take(self._regions, 1),
+            tcp_pose=self._tcp_pose(row), tcp_speed=rates[:, 0], tcp_rotation_speed=rates[:, 1],
+            wrist=self._wrist(row), region_pose=self._regions(row),
         )  # fmt: skip
+        return samples, bool(overfull)
+
+    def _beside(
+        self, values: F64, felt: npt.NDArray[np.void], net: F64, hard: F64
+    ) -> tuple[F64, F64] | tuple[None, None]:
+        """Return what the robot's hand and its links did of the force (n, 2, S, 3) and of the normal force (n, 2, S);
+        None where only its tip touched.
+
+        Args:
+            net: (n, S, 3) force on rigid surfaces, plates included.
+            hard: (n, S) the same of the normal force. Where several parts press on rigid surfaces at once, each surface
+                is taken to bear them in the same shares.
+        """
+        on_skin = felt["beside_normal_n"]
+        if not (on_skin.any() or hard.any()):
+            return None, None
+        tip, hand = np.abs(values[:, self._parts]).sum(2).T
+        whole = hard.sum(1)
+        parts = np.stack([hand - tip, whole - hand], 1)
+        # Sums of the same forces in another order.
+        parts[parts <= ROUNDING * whole[:, None]] = 0.0
+        if not (on_skin.any() or parts.any()):
+            return None, None
+        share = np.divide(parts, whole[:, None], out=np.zeros_like(parts), where=whole[:, None] > 0)
+        force, normal = share[:, :, None, None] * net[:, None], share[:, :, None] * hard[:, None]
+        force[:, :, self._soft] += felt["beside_force_n"].swapaxes(1, 2)
+        normal[:, :, self._soft] += on_skin.swapaxes(1, 2)
+        return force, normal

@@ -1,5 +1,5 @@
 """Contacts beyond those that the check of energy judges: harder, faster and deeper. In some of them, energy is made or
-vanishes. What is found is reported and decides nothing, but for those of ``ledger.OF_THE_LAYER``, which that check
+vanishes. What is found is reported and decides nothing, but for those of ``ledger.of_the_layer``, which that check
 judges.
 """
 

@@ -19,14 +19,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "Passive response of the arm"
-PUSHES_N, QUICK_PUSHES_N = (10.0, -10.0, 20.0, -20.0), (20.0,)
+PUSHES_N, QUICK_PUSHES_N = (10.0, -10.0, 20.0, -20.0), (10.0, 20.0)
 PUSH_S, RISE_S, RELEASE_S = 1.5, 0.4, 3.0
+FOLD_N, FOLD_LIMIT_DEG = 10.0, 30.0
+"""Push up to which a relaxed wrist may bend by no more than it extends in most tasks of a day (Palmer et al. 1985, J
+Hand Surg 10A:39, as quoted by others)."""
 RAMP_N_S, BREAKAWAY_M = 10.0, 0.002
 LOCK_KGM2 = 1e5
 """Inertia that is added to each joint to lock it, so that 20 N turn it by less than 0.1 mrad. With a damper of 1e6 N m
 s/rad instead, the whole person crept, by 1 mm on man-adult-heavy."""
 REST_M_S = 0.010
-STOP_TORQUE_NM = {"upper_arm": 8.0, "forearm_flexion": 5.0, "forearm_supination": 2.5, "hand": 1.5}
+STOP_TORQUE_NM = {"upper_arm": 8.0, "forearm_flexion": 5.0, "forearm_supination": 2.5, "hand": 2.0}
 """Torque that exceeds the passive joint's resistance anywhere in its range. It grows over STOP_RISE_S, like the pull of
 a hand."""
 QUICK_STOPS = ("forearm_flexion", "upper_arm_rotation")
@@ -38,7 +41,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
     for newton in QUICK_PUSHES_N if quick else PUSHES_N:
-        time, moved, speed = pushed_and_released(subject.at_rest("forearm"), newton)
+        time, moved, speed, fold = pushed_and_released(subject.at_rest("forearm"), newton)
         released = time > PUSH_S
         late = np.flatnonzero(released & (speed > REST_M_S))
         measures += [
@@ -46,11 +49,13 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
                     limit=20.0, side="at least"),
             Measure(name=f"{newton:+.0f} N: time until it is at rest again", unit="s", limit=RELEASE_S - 0.5,
                     value=float(time[late[-1]] - PUSH_S) if len(late) else 0.0),
+            Measure(name=f"{newton:+.0f} N: wrist bends", value=float(fold[~released].max()), unit="deg",
+                    limit=FOLD_LIMIT_DEG if abs(newton) <= FOLD_N else None),
         ]  # fmt: skip
         curves[f"push/{newton:+.0f} N"] = np.stack([time, 1000 * moved])
     locked = subject.at_rest("forearm")
     lock_arm(locked)
-    time, moved, _ = pushed_and_released(locked, max(QUICK_PUSHES_N), release_s=0.0)
+    time, moved, *_ = pushed_and_released(locked, max(QUICK_PUSHES_N), release_s=0.0)
     measures.append(
         Measure(name=f"{max(QUICK_PUSHES_N):+.0f} N on a locked arm: wrist moves", value=1000 * float(moved.max()),
                 unit="mm", limit=2.0)
@@ -104,21 +109,23 @@ def push_periods(simulation: Simulation, duration_s: float, newton_at: npt.Array
 
 def pushed_and_released(
     simulation: Simulation, newton: float, *, release_s: float = RELEASE_S
-) -> tuple[Array, Array, Array]:
-    """Push and release the arm; return time [s], horizontal displacement of the wrist [m] and the person's speed [m/s],
-    each (n,).
+) -> tuple[Array, Array, Array, Array]:
+    """Push and release the arm; return time [s], horizontal displacement of the wrist [m], the person's speed [m/s] and
+    the larger of the angles [deg] by which flexion and deviation of the wrist have changed, each (n,).
     """
     wrist = simulation.model.body("human_right_hand").id
-    before = simulation.data.xpos[wrist].copy()
+    hinges = [int(simulation.model.joint(f"human_right_hand_{way}").qposadr[0]) for way in ("flexion", "deviation")]
+    before, straight = simulation.data.xpos[wrist].copy(), simulation.data.qpos[hinges]
     rows = []
     period = simulation.protocol.physics.target_period_s
     rise = np.minimum(1.0, np.arange(round(PUSH_S / period)) * period / RISE_S) * newton
     for duration, force in ((PUSH_S, rise), (release_s, 0.0)):
         for _ in push_periods(simulation, duration, force):
             moved = np.linalg.norm((simulation.data.xpos[wrist] - before)[:2])
-            rows.append((simulation.time_s, moved, simulation.human_speed()))
-    time, moved, speed = np.array(rows).T
-    return time, moved, speed
+            fold = np.degrees(np.abs(simulation.data.qpos[hinges] - straight).max())
+            rows.append((simulation.time_s, moved, simulation.human_speed(), fold))
+    time, moved, speed, fold = np.array(rows).T
+    return time, moved, speed, fold
 
 
 def lock_arm(simulation: Simulation) -> None:

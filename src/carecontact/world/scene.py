@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS, Control
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.protocol import Alive, Protocol, Tissue
 from carecontact.errors import SceneError
 from carecontact.kernel.life import add_life
@@ -133,13 +134,14 @@ def _add_person(
     if alive.uses_the_arm:
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
+    tip = EMBODIMENTS[protocol.scene.tool].tip.geom
     for region in protocol.soft_regions:
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
         under = plate_under(REGIONS[region].segment)
         floor = None if under is None else plate_body(under)
-        regions[region] = add_tissue(spec, body, region, shell, tissue, on=on, floor=floor)
+        regions[region] = add_tissue(spec, body, region, shell, tissue, tip=tip, on=on, floor=floor)
     return hinges, regions
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import mujoco
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS, PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.plates import PLATES, plate_body
 from carecontact.world.human.skeleton import body_name
+from carecontact.world.joint_impedance import FLANGE_BODY
 
 CONTACT_SLOTS = 12
 """Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
@@ -19,6 +20,11 @@ more at once."""
 # Bits of mjtConDataField in MuJoCo 4.0, in the order of their values in a slot.
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
+
+TIP_SENSOR, HAND_SENSOR = "normal_by_tip", "normal_by_hand"
+"""Contact of the robot's tip, and of its whole hand with the tip, with any rigid surface of the person. They say which
+part of the robot the sensors of segments felt; one more sensor for each part and segment would make a step a tenth
+slower."""
 
 
 def plate_sensor(plate: str) -> str:
@@ -36,20 +42,29 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
     samples = round(protocol.physics.target_period_s / protocol.physics.dt_s)
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
-    def contact(name: str, second: str, second_type: mujoco.mjtObj, data: int, reduce: int, num: int) -> None:
+    def contact(
+        name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str], data: int, reduce: int, num: int
+    ) -> None:
         spec.add_sensor(
-            name=name, type=kind.mjSENS_CONTACT, objtype=obj.mjOBJ_XBODY, objname=PANDA.base_body, reftype=second_type,
-            refname=second, intprm=[data, reduce, num], nsample=samples,
+            name=name, type=kind.mjSENS_CONTACT, objtype=first[0], objname=first[1], reftype=second[0],
+            refname=second[1], intprm=[data, reduce, num], nsample=samples,
         )  # fmt: skip
 
+    def normal(name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str]) -> None:
+        contact(name, first, second, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
+
+    robot, person = (obj.mjOBJ_XBODY, PANDA.base_body), (obj.mjOBJ_XBODY, body_name("pelvis"))
+
     def surface(name: str, body: str) -> None:
-        contact(f"net_{name}", body, obj.mjOBJ_BODY, FORCE_BIT | POS_BIT, NETFORCE, 1)
-        contact(f"normal_{name}", body, obj.mjOBJ_BODY, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
+        contact(f"net_{name}", robot, (obj.mjOBJ_BODY, body), FORCE_BIT | POS_BIT, NETFORCE, 1)
+        normal(f"normal_{name}", robot, (obj.mjOBJ_BODY, body))
 
     for segment in SEGMENTS:
         surface(segment, body_name(segment))
     for plate in PLATES:
         surface(plate_sensor(plate.name), plate_body(plate.name))
+    normal(TIP_SENSOR, (obj.mjOBJ_GEOM, EMBODIMENTS[protocol.scene.tool].tip.geom), person)
+    normal(HAND_SENSOR, (obj.mjOBJ_BODY, FLANGE_BODY), person)
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
                         objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip

@@ -55,8 +55,8 @@ def test_the_camera_goes_to_another_side_when_something_stands_before_it(
 def pushed_from_the_side(
     pressed: Recording, model: mujoco.MjModel, skin: FilmSkin
 ) -> tuple[Recording, np.ndarray, np.ndarray]:
-    """The press as if its contact were on the inner side of the forearm; the contact's place [m] and the skin's normal
-    there."""
+    """The press as if its contact were on the side of the forearm that its own view does not show; the contact's place
+    [m] and the skin's normal there."""
     segment = pressed.header.segments.index("right_forearm")
     column = pressed.header.regions.index("forearm")
     middle = pressed["scorer/region_pose_in_world"][0, column][:3]
@@ -65,15 +65,15 @@ def pushed_from_the_side(
     mujoco.mj_kinematics(model, data)
     vertices, normals = skin.placed(data)
     near = (np.linalg.norm(vertices - middle, axis=1) < 0.08) & (np.abs(normals[:, 2]) < 0.1)
-    inner = near & (normals @ (data.xpos[model.body("human_abdomen").id] - middle) > 0)
-    place, normal = vertices[inner][0], normals[inner][0]
+    far = np.flatnonzero(near)[(normals[near] @ (eye_place(clear_view(pressed, model, skin)) - middle)).argmin()]
+    place, normal = vertices[far], normals[far]
     arrays = dict(pressed.arrays)
     centres = arrays["scorer/centroid_in_world"].copy()
     centres[:, segment] = place
     return replace(pressed, arrays={**arrays, "scorer/centroid_in_world": centres}), place, normal
 
 
-def test_a_push_on_the_inner_side_is_not_shown_from_the_outer_one(
+def test_a_push_on_the_far_side_is_not_shown_from_the_near_one(
     pressed: Recording, world: tuple[mujoco.MjModel, FilmSkin]
 ) -> None:
     model, skin = world

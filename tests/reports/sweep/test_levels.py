@@ -96,8 +96,8 @@ def test_methods_alone_are_ranked_and_a_plan_of_one_ranks_all() -> None:
 def test_the_table_says_tasks_worst_tenth_and_harder_band() -> None:
     passed = {"T1": "++-", "T2": "++-"}
     cells = [
-        cell("a", "wide L0", passed, additional={"harder_band@1": 1.0}),
-        cell("a", "wide L1", passed, additional={"harder_band@1": 0.0}),
+        cell("a", "wide L0", passed, additional={"harder_band@2": 1.0}),
+        cell("a", "wide L1", passed, additional={"harder_band@2": 0.0}),
     ]
     found = climbed(cells)
     easy, hard = (rung.climbs[0] for rung in found.rungs)

@@ -226,7 +226,7 @@ def test_a_failed_push_shows_its_gate_beside_what_it_reached(tmp_path: Path) -> 
 def test_metrics_of_other_actions_are_folded_away(tmp_path: Path) -> None:
     recording = faint(4.0)
     additional = {
-        "wrist_from_onset@1": 0.03, "coverage@1": 0.25, "gentle_share@1": 0.5, "comfortable@2": 1.0,
+        "wrist_from_onset@2": 0.03, "coverage@1": 0.25, "gentle_share@2": 0.5, "comfortable@2": 1.0,
         "pressure_mean@2": 6.0,
     }  # fmt: skip
     score = make_score("T2", 0, additional=additional)

@@ -20,6 +20,6 @@ def power(case: Case, exponent: float, *, scale: float = 1.0) -> Answer:
         way_m=WAYS_M, force_n=np.minimum(1000 * WAYS_M, 1.0), normal_n=np.full(len(WAYS_M), 2.0), stuck_n_m=1000.0
     )
     return Answer(
-        curves=curves, dimple=np.full(len(RINGS_M), 0.2), drags={tool.name: drag for tool in case.gliding()},
-        modulus_pa=1e4,
+        curves=curves, dimple=np.full(len(RINGS_M), 0.2), beside=np.full(len(RINGS_M), -0.1),
+        drags={tool.name: drag for tool in case.gliding()}, modulus_pa=1e4,
     )  # fmt: skip

@@ -31,8 +31,10 @@ def test_touch_lies_between_samples_and_has_to_come() -> None:
 
 
 def test_a_ring_is_the_mean_about_its_distance() -> None:
-    distance = np.array([0.003, 0.005, 0.0201])
-    found = rings(distance, np.array([1.0, 3.0, 5.0]))
+    places = np.array([[0.003, 0.0], [0.0, 0.005], [0.0201, 0.001]])
+    sunk = np.array([1.0, 3.0, 5.0])
+    found = rings(places, sunk)
+    assert rings(places, sunk, beside=True)[0] == 1.0
     assert found[0] == 2.0
     assert found[list(np.round(1000 * RINGS_M)).index(20)] == 5.0
     assert np.isnan(found[list(np.round(1000 * RINGS_M)).index(12)])

@@ -69,7 +69,9 @@ def test_a_ball_on_a_half_space_follows_hertz(half_space: Surface) -> None:
 def test_a_sharp_disc_on_a_half_space_follows_sneddon(half_space: Surface) -> None:
     force, push = press(half_space, sharp(0.004), 0.001)
     assert force == pytest.approx(2 * 0.004 * 0.001 / (1 - 0.3**2), rel=0.03)
-    distance, sunk = half_space.everywhere(push)
+    places, sunk, along_normal = half_space.everywhere(push)
+    np.testing.assert_array_equal(along_normal, sunk)
+    distance = np.hypot(*places.T)
     for r in (0.005, 0.007, 0.010):
         ring = sunk[np.abs(distance - r) < 0.0003].mean()
         # The ground is not endless: it holds the surface back by a share of about the contact's width over its depth.

@@ -9,7 +9,7 @@
 #include "export.h"
 #include "region.h"
 
-static const char* ATTRIBUTES[] = {"key", "vertices", "edges", "triangles", "cells", "tools"};
+static const char* ATTRIBUTES[] = {"key", "vertices", "edges", "triangles", "cells", "tools", "tip"};
 
 static Region* region_of(const mjData* d, int instance) { return (Region*)d->plugin_data[instance]; }
 

@@ -62,10 +62,10 @@ static int has_numeric(const mjModel* m, const char* key, const char* name) {
 Law law_read(const mjModel* m, const Region* r) {
   const double* x = m->numeric_data + r->law_address;
   const double* contact = r->contact_address < 0 ? NULL : m->numeric_data + r->contact_address;
-  double rest = (1 - LOCK_FROM) * x[LAW_THICKNESS];
+  double rest = (1 - LOCK_FROM) * x[LAW_THICKNESS], lock = contact ? contact[CONTACT_LOCK] * x[LAW_A] / (rest * rest) : 0;
   return (Law){x[LAW_A], x[LAW_B], x[LAW_C], x[LAW_DAMPING], x[LAW_DAMPING_GROWTH], x[LAW_MASS], x[LAW_COUPLING],
-               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS], contact ? contact[CONTACT_LOCK] * x[LAW_A] / (rest * rest) : 0,
-               contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
+               x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS], lock,
+               LOCK_FROM * x[LAW_THICKNESS], contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
 }
 
 int law_sound(const Law* law) {
@@ -146,11 +146,23 @@ static void bound(Region* r) {
   }
 }
 
+// The part of a geom of the robot, where the attribute "tip" names the geom that is meant to touch (-1: all are).
+static int part_of(const mjModel* m, int tip, int geom) {
+  if (tip < 0 || geom == tip) return PART_TIP;
+  return m->geom_bodyid[geom] == m->geom_bodyid[tip] ? PART_HAND : PART_LINKS;
+}
+
 // Every geom under the body named by the attribute "tools" that may collide with a person.
 static int find_tools(const mjModel* m, int instance, Region* r) {
   int root = mj_name2id(m, mjOBJ_BODY, mj_getPluginConfig(m, instance, "tools"));
   if (root < 0) {
     mju_warning("carecontact.tissue: the model has no body %s", mj_getPluginConfig(m, instance, "tools"));
+    return -1;
+  }
+  const char* named = mj_getPluginConfig(m, instance, "tip");
+  int tip = named && *named ? mj_name2id(m, mjOBJ_GEOM, named) : -1;
+  if (named && *named && tip < 0) {
+    mju_warning("carecontact.tissue: the model has no geom %s", named);
     return -1;
   }
   r->tool = calloc((size_t)m->ngeom + 1, sizeof(Tool));
@@ -162,11 +174,13 @@ static int find_tools(const mjModel* m, int instance, Region* r) {
     int body = m->geom_bodyid[g];
     while (body > root) body = m->body_parentid[body];
     if (body != root || !(m->geom_contype[g] & 1)) continue;
-    if (tool_init(m, g, r->tool + r->ntool++)) {
+    Tool* tool = r->tool + r->ntool++;
+    if (tool_init(m, g, tool)) {
       mju_warning("carecontact.tissue: geom %d under %s has no convex surface", g,
                   mj_getPluginConfig(m, instance, "tools"));
       return -1;
     }
+    tool->part = part_of(m, tip, g);
   }
   return 0;
 }

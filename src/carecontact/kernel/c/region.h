@@ -27,7 +27,10 @@ enum {
   ROW_KINETIC = 14,   // of the shell, at its end
   ROW_DAMPED = 15,    // lost in the anchors' dampers during it
   ROW_RUBBED = 16,    // lost to friction during it
-  ROW_SIZE = 17
+  // What of the force is not the tip's but of the robot's hand, and then of its links:
+  ROW_BESIDE_FORCE = 17,   // 3 each: on the person, world [N]
+  ROW_BESIDE_NORMAL = 23,  // 1 each: sum over their contact points of the force along their normal [N]
+  ROW_SIZE = 25
 };
 
 // What each declared cell of the surface has felt since the state was last reset; sums over steps.
@@ -59,15 +62,16 @@ enum { TRIANGLE_CORNER = 0, TRIANGLE_AREA = 3, TRIANGLE_CELL = 4, TRIANGLE_SIZE 
 // of its area bears on one of them only.
 enum { POINTS_EACH = 4 };
 
-// Tissue of a limb that is pressed to more than this share of its thickness locks (docs/tissue.md): at w over that depth, the rest of
-// the thickness being h, its pressure is higher by LOCK a h (w / h)^3. Kept in step with carecontact/kernel/region.py.
+// Tissue of a limb that is pressed to more than this share of its thickness locks (docs/tissue.md): at w over that depth,
+// the rest of the thickness being h, its pressure is higher by LOCK a h (w / h)^3. Kept in step with
+// carecontact/kernel/region.py.
 static const double LOCK_FROM = 0.6;
 
 // All of them are doubles, which law_sound adds up.
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
-  double lock;           // LOCK a / h^2 [N/m^5]
-  double layer, entry;  // depth over which the contact layer stiffens, way over which skin is let in [m]
+  double lock, locks_at;  // LOCK a / h^2 [N/m^5], and the depth from which the tissue locks [m]
+  double layer, entry;    // depth over which the contact layer stiffens, way over which skin is let in [m]
 } Law;
 
 typedef struct {
@@ -215,26 +219,23 @@ void rim_find(Region* r, const Law* law);
 void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in);
 void ledger(Region* r, const State* s, const Law* law);
 
-// How far beyond the depth from which it locks the tissue is pressed; skin that is pulled outward does not lock.
-static inline double law_locked(const Law* law, double x) {
-  double over = x - LOCK_FROM * law->thickness;
-  return over > 0 ? over : 0;
-}
-
+// Hardly any vertex is pressed so deep that it locks, and skin that is pulled outward never does: a branch is cheaper than
+// the term.
 static inline double law_pressure(const Law* law, double x) {
-  double size = x < 0 ? -x : x, over = law_locked(law, x);
-  return x * (law->a + size * (law->b + size * law->c)) + law->lock * over * over * over;
+  double size = x < 0 ? -x : x, over = x - law->locks_at, pressure = x * (law->a + size * (law->b + size * law->c));
+  return over > 0 ? pressure + law->lock * over * over * over : pressure;
 }
 
 static inline double law_tangent(const Law* law, double x) {
-  double size = x < 0 ? -x : x, over = law_locked(law, x);
-  return law->a + size * (2 * law->b + 3 * size * law->c) + 3 * law->lock * over * over;
+  double size = x < 0 ? -x : x, over = x - law->locks_at, tangent = law->a + size * (2 * law->b + 3 * size * law->c);
+  return over > 0 ? tangent + 3 * law->lock * over * over : tangent;
 }
 
 // [J/m^2]
 static inline double law_energy(const Law* law, double x) {
-  double size = x < 0 ? -x : x, over = law_locked(law, x);
-  return x * x * (law->a / 2 + size * (law->b / 3 + size * law->c / 4)) + law->lock * over * over * over * over / 4;
+  double size = x < 0 ? -x : x, over = x - law->locks_at;
+  double energy = x * x * (law->a / 2 + size * (law->b / 3 + size * law->c / 4));
+  return over > 0 ? energy + law->lock * over * over * over * over / 4 : energy;
 }
 
 static inline double law_damping(const Law* law, double x) { return law->damping + (x > 0 ? law->damping_growth * x : 0); }

@@ -2,8 +2,12 @@
 #pragma once
 #include <mujoco/mujoco.h>
 
+// Parts of the robot: what is meant to touch, what else is fixed to the same body, and all other bodies.
+enum { PART_TIP, PART_HAND, PART_LINKS };
+
 typedef struct {
   int geom, body, type;
+  int part;
   double size[3];    // as MuJoCo's geom_size
   double bound;      // radius of a sphere about the geom's centre that holds it [m]
   double box[6];     // centre and half sizes of its box, in its own frame

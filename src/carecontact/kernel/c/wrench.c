@@ -13,12 +13,20 @@ static void apply(const mjModel* m, mjData* d, Region* r, int body, const double
   mj_applyFT(m, d, f, t, at, body, r->force);
 }
 
+// Counts the force of a geom that is not the tip to its part: 0 for the hand, 1 for the links.
+static void beside(Region* r, const mjData* d, int part, const double force[3], double normal) {
+  double f[3];
+  rotate(f, d->xmat + 9 * r->bone, force);
+  for (int j = 0; j < 3; j++) r->row[ROW_BESIDE_FORCE + 3 * part + j] += f[j];
+  r->row[ROW_BESIDE_NORMAL + part] += normal;
+}
+
 void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in) {
   double total[6] = {0}, centre[3] = {0}, weight = 0, *row = r->row;
   memset(r->force, 0, sizeof(double) * (size_t)m->nv);
   for (int k = 0; k < r->nwindow; k++) row[ROW_DEPTH] = most(row[ROW_DEPTH], r->u[3 * r->window[k]]);
   for (int t = 0; t < r->ntool; t++) {
-    double force[3] = {0}, torque[3] = {0}, against[3], around[3];
+    double force[3] = {0}, torque[3] = {0}, against[3], around[3], normal = 0;
     int touching = 0;
     for (int i = 0; i < r->ncontact; i++) {
       const Contact* c = r->contact + i;
@@ -36,6 +44,7 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in) {
         torque[j] += moment[j];
         centre[j] += area * c->pressure * at[j];
       }
+      normal += area * c->pressure;
       weight += area * c->pressure;
       row[ROW_PRESSURE] = most(row[ROW_PRESSURE], c->pressure);
     }
@@ -48,6 +57,7 @@ void wrench_apply(const mjModel* m, mjData* d, Region* r, int lets_in) {
       total[3 + j] += torque[j];
     }
     apply(m, d, r, r->tool[t].body, against, around);
+    if (r->tool[t].part != PART_TIP) beside(r, d, r->tool[t].part - PART_HAND, force, normal);
   }
   if (!row[ROW_POINTS]) return;
   apply(m, d, r, r->bone, total, total + 3);

@@ -70,7 +70,7 @@ class Trials:
 
     def harder(self) -> tuple[int, int] | None:
         """Return trials in the harder band, of those for which it is known; None where it is for none."""
-        known = [v for s in self.scores.values() if (v := s.additional.get("harder_band@1")) is not None]
+        known = [v for s in self.scores.values() if (v := s.additional.get("harder_band@2")) is not None]
         return (sum(value > 0 for value in known), len(known)) if known else None
 
 

@@ -41,6 +41,11 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
         return "safety", _safety_evidence(contact)
     if mode == "joint_beyond_range":
         return "safety", _joint_evidence(contact)
+    cause, evidence = _of_contact(contact, gate, mode)
+    return cause, f"{evidence} {_by_part(contact)}" if mode == "not_by_tool" else evidence
+
+
+def _of_contact(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
     path = commanded_path(contact)
     if path is None:
         return _still(contact, sight(contact, NEAR_REGION_M))
@@ -101,6 +106,14 @@ def _touched(contact: Contact) -> str:
     if contact.touched:
         return f"touched {', '.join(contact.segments[i] for i in contact.touched)}"
     return faint_press(contact) or "touched nothing"
+
+
+def _by_part(contact: Contact) -> str:
+    """Return which part of the robot touched the region or beside it, where most of it was not the tool."""
+    pressed = contact.recording["scorer/beside_normal_force"][:, :, contact.neighbourhood].sum(axis=(0, 2))
+    part = ("hand", "links")[int(pressed.argmax())]
+    share = f"{contact.tool_share or 0.0:.0%} of the contact impulse"
+    return f"The {_region(contact)} was touched by the {part}, not by the tool, which applied {share}."
 
 
 def _times(n: int) -> str:

@@ -1,4 +1,4 @@
-"""harder_band@1: whether a trial would pass narrower gates than any protocol has."""
+"""harder_band@2: whether a trial would pass narrower gates than any protocol has."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GATES = "exam"
 """Set of gates whose harder tables are meant."""
 
 
-@metric("harder_band@1", title="Passes the harder band", unit="1", better="higher", median=False, order=74)
+@metric("harder_band@2", title="Passes the harder band", unit="1", better="higher", median=False, order=74)
 def harder_band(contact: Contact) -> float | None:
     """1 where the trial would be safety-gated under the harder table of its action (``Behaviour.harder``), else 0.
 

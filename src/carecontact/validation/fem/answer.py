@@ -61,6 +61,8 @@ class Answer:
     """By the tool's name."""
     dimple: Array
     """(k,) share of the main tool's travel by which the surface sank at RINGS_M"""
+    beside: Array
+    """(k,) the same, along the surface's own normal and around the limb alone: negative where it bulges"""
     drags: Mapping[str, Drag]
     """By the tool's name."""
     modulus_pa: float = float("nan")
@@ -81,6 +83,10 @@ class Answer:
         """Return the share (k,) of the main tool's travel by which the surface sank at these distances [m]."""
         return np.interp(distances_m, RINGS_M, self.dimple)
 
+    def beside_at(self, distances_m: Array) -> Array:
+        """Return the share (k,) of ``beside`` at these distances [m]."""
+        return np.interp(distances_m, RINGS_M, self.beside)
+
 
 def touch_m(travel_m: Array, force_n: Array, threshold_n: float) -> float:
     """Return the interpolated travel [m] at which a press first exceeds the threshold. Raises CarecontactError if it
@@ -93,7 +99,13 @@ def touch_m(travel_m: Array, force_n: Array, threshold_n: float) -> float:
     return float(np.interp(threshold_n, force_n[k - 1 : k + 1], travel_m[k - 1 : k + 1]))
 
 
-def rings(distance_m: Array, sunk_m: Array) -> Array:
-    """Return the mean (r,) over the points in each ring of RINGS_M; not a number for a ring without points."""
-    near = [np.abs(distance_m - ring) <= RING_M for ring in RINGS_M]
+def rings(places_m: Array, sunk_m: Array, *, beside: bool = False) -> Array:
+    """Return the mean (r,) over the points in each ring of RINGS_M; not a number for a ring without points.
+
+    Args:
+        places_m: (n, 2) across and along from the tool's axis.
+        beside: whether only points at most RING_M along from the axis count.
+    """
+    distance_m, chosen = np.hypot(*places_m.T), (np.abs(places_m[:, 1]) <= RING_M) | (not beside)
+    near = [chosen & (np.abs(distance_m - ring) <= RING_M) for ring in RINGS_M]
     return np.array([sunk_m[pick].mean() if pick.any() else np.nan for pick in near])

@@ -21,6 +21,8 @@ TOUCHES_N = (0.02, 0.05, 0.1)
 these."""
 DIMPLE_M = np.array([0.010, 0.015, 0.020])
 """Distances from the tool's axis at which the sunken surface is compared."""
+BESIDE_M = np.array([0.015, 0.020, 0.025])
+"""The same around a limb, where nearly incompressible tissue bulges."""
 RINGS_M, RING_M = np.arange(0.004, 0.0301, 0.002), 0.002
 """The dimple at a distance is the mean over the surface within RING_M of it."""
 RADII = (0.5, 1.0, 2.0)

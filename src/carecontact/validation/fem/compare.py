@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from carecontact.validation.fem import judge, simulated
 from carecontact.validation.fem.answer import Answer
-from carecontact.validation.fem.cases import CASES, DEPTHS_M, TOUCH_N, Case
+from carecontact.validation.fem.cases import BESIDE_M, CASES, DEPTHS_M, TOUCH_N, Case
 from carecontact.validation.fem.ground import Ground
 from carecontact.validation.fem.hexahedra import Block
 from carecontact.validation.fem.judge import MARGIN, Sample
@@ -105,6 +105,10 @@ def _extras(case: Case, middle: Answer) -> dict[str, float]:
         out[f"along, {name}: stiffness while stuck (N/mm), Poisson's ratio {poisson}"] = (
             other.drags[name].stuck_n_m / 1000
         )
+        if case.ground.limb_radius_m is not None:
+            for distance, share in zip(BESIDE_M, other.beside_at(BESIDE_M), strict=True):
+                where = f"{name}, {1000 * distance:g} mm from its axis"
+                out[f"dimple around the limb, {where}, Poisson's ratio {poisson}"] = float(share)
     travel = middle.curves[name].touch_m(TOUCH_N) + DEPTHS_M[-1]
     for friction in OTHER_FRICTION:
         drag = sample.drag(case.main, travel, friction)

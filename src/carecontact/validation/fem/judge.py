@@ -59,11 +59,14 @@ class Sample:
         force = PchipInterpolator(SOLVED_M, self.press(tool, SOLVED_M))(TOLD_M)
         return Curve(presses=((TOLD_M, force),))
 
-    def dimple(self, tool: Tool, travel_m: float) -> Array:
-        """Return the share of the travel by which the surface sinks at RINGS_M."""
+    def dimple(self, tool: Tool, travel_m: float) -> tuple[Array, Array]:
+        """Return the share of the travel by which the surface moves along it at RINGS_M, and by which it sinks around
+        the limb (``Answer``).
+        """
         surface = self._under(tool)
         push, _ = balance(surface.compliance((PRESS,), (PRESS,)), surface.gap(tool, travel_m))
-        return rings(*surface.everywhere(push)) / travel_m
+        places, inward, sunk = surface.everywhere(push)
+        return rings(places, inward) / travel_m, rings(places, sunk, beside=True) / travel_m
 
     def drag(self, tool: Tool, travel_m: float, friction: float) -> Drag:
         step = GLIDING_M / self._refined
@@ -99,9 +102,8 @@ def answer(case: Case, skin: Skin) -> Answer:
         tool.name: found.drag(tool, curves[tool.name].touch_m() + float(DEPTHS_M[-1]), FRICTION)
         for tool in case.gliding()
     }
-    return Answer(
-        curves=curves, dimple=found.dimple(case.main, MATCHED_M), drags=drags, modulus_pa=found.medium.tissue_pa
-    )
+    dimple, beside = found.dimple(case.main, MATCHED_M)
+    return Answer(curves=curves, dimple=dimple, beside=beside, drags=drags, modulus_pa=found.medium.tissue_pa)
 
 
 def sample(case: Case, skin: Skin, answered: Answer) -> Sample:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.validation.fem.answer import Answer
-from carecontact.validation.fem.cases import DEPTHS_M, DIMPLE_M, TOLD_WAYS_M, TOUCHES_N, Case
+from carecontact.validation.fem.cases import BESIDE_M, DEPTHS_M, DIMPLE_M, TOLD_WAYS_M, TOUCHES_N, Case
 from carecontact.validation.result import Array
 
 POINTS = "%"
@@ -79,6 +79,13 @@ def _dimple(case: Case) -> Iterator[Quantity]:
         yield Quantity(
             name=f"dimple, {case.main.name}, {_mm(distance)} from its axis", unit="",
             of=lambda a, k=k: float(a.dimple_at(DIMPLE_M)[k]),
+        )  # fmt: skip
+    if case.ground.limb_radius_m is None:
+        return
+    for k, distance in enumerate(BESIDE_M):
+        yield Quantity(
+            name=f"dimple around the limb, {case.main.name}, {_mm(distance)} from its axis", unit="",
+            of=lambda a, k=k: float(a.beside_at(BESIDE_M)[k]),
         )  # fmt: skip
 
 

@@ -45,16 +45,20 @@ def answer(subject: Subject, case: Case) -> Answer:
     Raises SceneError if a tool does not find the region's surface.
     """
     places = held_out_m(case.region)
-    curves, dimples = {}, []
+    curves, dimples, beside = {}, [], []
     for name, tool in case.tools().items():
         bench = person_bench(subject, case.region, indenter(tool))
         curves[name] = Curve(presses=tuple(_press(bench, place) for place in places))
         if tool == case.main:
             for x, y in places:
                 bench.press(along_m=x, across_m=y, depth_m=MATCHED_M, speed_m_s=SPEED_M_S)
-                dimples.append(rings(*bench.skin()) / MATCHED_M)
+                places_m, inward_m, sunk_m = bench.skin()
+                dimples.append(rings(places_m, inward_m) / MATCHED_M)
+                beside.append(rings(places_m, sunk_m, beside=True) / MATCHED_M)
     drags = {tool.name: _drag(subject, case, tool, curves[tool.name]) for tool in case.gliding()}
-    return Answer(curves=curves, dimple=np.nanmean(dimples, axis=0), drags=drags)
+    return Answer(
+        curves=curves, dimple=np.nanmean(dimples, axis=0), beside=np.nanmean(beside, axis=0), drags=drags
+    )  # fmt: skip
 
 
 def indenter(tool: Tool) -> Indenter:

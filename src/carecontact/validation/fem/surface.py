@@ -92,9 +92,9 @@ class Surface:
                                 )
         return found
 
-    def everywhere(self, push: Array) -> tuple[Array, Array]:
-        """Return the distance (n,) from the press's axis of every patch on the upper side, and how far (n,) it moves
-        inward under pushes (m,).
+    def everywhere(self, push: Array) -> tuple[Array, Array, Array]:
+        """Return where (n, 2) every patch on the upper side lies, across and along from the press's axis, and how far
+        (n,) it moves under pushes (m,): inward along this axis, and inward along its own normal.
         """
         shape = self.kernel.shape
         index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), 2)
@@ -104,17 +104,20 @@ class Surface:
         for along, across in self.images:
             places = np.where([across < 0, along < 0], -1 - self.places, self.places)
             load[places[:, 0], places[:, 1]] = push
-        inward = np.zeros(shape)
+        inward, sunk = np.zeros(shape), np.zeros(shape)
         for a, to in enumerate(directions):
             for b, by in enumerate(directions):
                 if to.any() and by.any():
                     waves = np.fft.rfft2(load * by.reshape(shape)) * np.fft.rfft2(self.kernel.values(a, b))
-                    inward += to.reshape(shape) * np.fft.irfft2(waves, s=shape)
+                    moved = np.fft.irfft2(waves, s=shape)
+                    inward += to.reshape(shape) * moved
+                    sunk -= moved if a == 0 else 0.0
         middle = (index + 0.5) * self.kernel.step_m
         radius = self.limb_radius_m
         across_m = middle[..., 0] if radius is None else radius * np.sin(middle[..., 0] / radius)
         upper = np.ones(shape, bool) if radius is None else np.abs(middle[..., 0]) < np.pi / 2 * radius
-        return np.hypot(across_m, middle[..., 1])[upper], inward[upper]
+        places = np.asarray(np.stack([across_m, middle[..., 1]], -1), np.float64)
+        return places[upper], inward[upper], sunk[upper]
 
     def _directions(self, places: npt.NDArray[np.int64]) -> Array:
         """Return the directions PRESS, ALONG and ACROSS (3, 3, n) at each patch, in its own directions outward, across,

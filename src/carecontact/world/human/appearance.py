@@ -32,10 +32,13 @@ HAIR: dict[str, Rgb] = {
     "grey": (168, 164, 158), "white": (206, 204, 200),
 }  # fmt: skip
 
-SPLITS = {"pelvis": 3, "abdomen": 3, "left_thigh": 3, "right_thigh": 3, "head": 1}
-"""Segment -> how often its triangles are split before painting, because an edge of clothes or a feature of the face
-crosses them."""
-TOP_SPLITS = {"thorax": 2}
+SPLITS = {
+    3: ("pelvis", "abdomen", "left_thigh", "right_thigh"), 1: ("head",),
+    2: ("thorax", *(f"{side}_{part}" for side in ("left", "right")
+                    for part in ("clavicle", "upper_arm", "forearm", "shank"))),
+}  # fmt: skip
+"""How often triangles are split before painting -> segments. An edge of clothes or a feature of the face crosses them,
+and each has one tone of the skin's mottling, which shows as stripes where large triangles meet."""
 
 
 def draw_appearance(rng: np.random.Generator) -> Appearance:
@@ -52,16 +55,15 @@ def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
 
     def compute() -> Arrays:
         fine = body
-        for segment, times in splits.items():
-            fine = refined(fine, segment, times=times)
+        for times, segments in SPLITS.items():
+            fine = refined(fine, *segments, times=times)
         return {
             "vertices": fine.vertices, "faces": fine.faces.astype(np.int32), "owner": fine.owner.astype(np.int32),
             "is_eye": fine.is_eye, "painters": painters(fine),
         }  # fmt: skip
 
-    splits = {**SPLITS, **(TOP_SPLITS if body.sex == "F" else {})}
     facts = {
-        "body": [body.name, body.sha256], "splits": splits, "source": source_sha256(Path(__file__).parent),
+        "body": [body.name, body.sha256], "splits": SPLITS, "source": source_sha256(Path(__file__).parent),
         "numpy": np.__version__, "cv2": cv2.__version__,
     }  # fmt: skip
     found = kept("paint", facts, compute)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 REACHED_RAD = float(np.radians(5.0))
 PULL_NM = {
-    "upper_arm": 80.0, "forearm_flexion": 18.0, "forearm_supination": 3.0, "hand": 2.3, "neck": 6.0, "thigh": 30.0,
+    "upper_arm": 85.0, "forearm_flexion": 18.0, "forearm_supination": 3.0, "hand": 2.3, "neck": 6.0, "thigh": 30.0,
     "shank": 15.0, "foot": 10.0, "abdomen": 60.0, "thorax": 60.0,
 }  # fmt: skip
 """Part, or part and motion -> torque [N m] at REACHED_RAD past the range; our choice. The values of upper arm and hand

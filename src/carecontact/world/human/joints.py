@@ -68,12 +68,19 @@ ELBOW = (
     "Huang 2005, Arch Phys Med Rehabil 86, abstract: little in 192 people until 70 years; stiffness and damping go by "
     "body weight)"
 )
+SHOULDER_NM_RAD, SHOULDER_RANGE_NM_RAD = 1.5, (0.5, 5.0)
+"""Assumed value and plausible range of the shoulder's stiffness."""
 SHOULDER = (
     "assumed, middle of the plausible 0.5 to 5 N m/rad and 0.2 to 1.5 N m s/rad, in proportion to the mass of the "
     "upper arm as the elbow's. Relaxed shoulders of men are stiffer than women's (Hwang et al. 2023, "
     "doi:10.36227/techrxiv.24585783, abstract, without numbers). No neutral angle was found"
 )
-WRIST = "assumed; stiffer in deviation than in flexion as Formica et al. 2012, J Neurophysiol 108:1158, found"
+FOREARM_NM_RAD, WRIST_FLEXION_NM_RAD, WRIST_DEVIATION_NM_RAD = 0.76, 0.99, 2.9
+WRIST = (
+    "Drake and Charles 2014, Ann Biomed Eng 42:1853, mean over 10 relaxed people, without the coupling of the three "
+    "(their numbers, from memory of papers that quote them: not checked); stiffer in deviation than in flexion, as "
+    "Formica et al. 2012, J Neurophysiol 108:1158 (abstract), found. Damping assumed"
+)
 
 
 def arm_share(body: Body) -> float:
@@ -115,7 +122,7 @@ def hinges(body: Body) -> list[Hinge]:
     add("neck", "rotation", z, 0, 4.0, 2.0, range_deg=(-60, 60))
 
     share = arm_share(body)
-    shoulder = 1.5 * share, 0.5 * share
+    shoulder = SHOULDER_NM_RAD * share, 0.5 * share
     stiff_elbow = float(np.clip(ELBOW_NM_RAD * share, *ELBOW_RANGE_NM_RAD))
     for side, sign in (("left", 1.0), ("right", -1.0)):
         upper, fore, hand = (f"{side}_{n}" for n in ("upper_arm", "forearm", "hand"))
@@ -131,10 +138,10 @@ def hinges(body: Body) -> list[Hinge]:
         add(upper, "rotation", sign * u, 0, *shoulder, SHOULDER)
         add(fore, "flexion", elbow, elbow_bind, stiff_elbow, 0.2 * share, ELBOW, neutral_deg=ELBOW_NEUTRAL_DEG)
         palm, radial = hand_axes(body, side)
-        add(fore, "supination", -sign * f, supination_of(palm, elbow, f, sign), 0.5, 0.03)
+        add(fore, "supination", -sign * f, supination_of(palm, elbow, f, sign), FOREARM_NM_RAD, 0.03, WRIST)
         h = body.direction(hand)
-        add(hand, "flexion", np.cross(h, palm), 0, 0.3, 0.03, WRIST)
-        add(hand, "deviation", np.cross(h, radial), 0, 1.0, 0.03, WRIST)
+        add(hand, "flexion", np.cross(h, palm), 0, WRIST_FLEXION_NM_RAD, 0.03, WRIST)
+        add(hand, "deviation", np.cross(h, radial), 0, WRIST_DEVIATION_NM_RAD, 0.03, WRIST)
 
         thigh, shank, foot = (f"{side}_{n}" for n in ("thigh", "shank", "foot"))
         t, s = body.direction(thigh), body.direction(shank)

@@ -16,6 +16,7 @@ from carecontact.world.human.skeleton import body_name
 from carecontact.world.human.stored import body_file
 
 TEXTURE_SIZE = 1024
+WAVES = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,9 +111,9 @@ def _face_colours(body: Body, appearance: Appearance) -> Array:
     skin, cloth, hair = (np.array(c, np.float64) for c in (appearance.skin, appearance.cloth, appearance.hair))
     centre = body.vertices[body.faces].mean(1)
     segment = np.array(body.segments)[body.owner[body.faces[:, 0]]]
-    # Mottling of low spatial frequency: with one flat tone, key-point detectors fail.
-    waves = np.array([[23.0, 17, 9], [-11, 31, 19], [41, -7, 29], [90, 60, -70]])
-    mottle = np.sin(centre @ waves.T + [0.3, 1.9, 4.1, 2.2]).mean(1)
+    # Mottling of low spatial frequency: with one flat tone, key-point detectors fail. Few waves would show as stripes.
+    waves, phases = np.split(np.random.default_rng(0).normal(0, 35, (WAVES, 4)), [3], axis=1)
+    mottle = np.sin(centre @ waves.T + phases.T).sum(1) / (2 * np.sqrt(WAVES))
     colour = skin * (1 + 0.045 * mottle)[:, None]
     flush = np.isin(segment, ["left_hand", "right_hand", "left_foot", "right_foot"])
     colour[flush] *= [1.0, 0.94, 0.92]

@@ -72,12 +72,13 @@ class DeclaredCells:
 
 def add_tissue(
     spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str = PANDA.base_body,
-    ledger: bool = False, on: str | None = None, floor: str | None = None,
+    tip: str = "", ledger: bool = False, on: str | None = None, floor: str | None = None,
 ) -> SoftRegion:  # fmt: skip
     """Add shell and bone core of one region. Call it after the skeleton.
 
     Args:
         tools: name of the body whose geoms, and those of the bodies under it, touch the shell.
+        tip: name of the geom among them that is meant to touch; empty: all are.
         ledger: whether the energy of every step is kept.
         on: name of the body that carries the shell, whose origin is that of the segment's body; by default the
             segment's body.
@@ -91,7 +92,7 @@ def add_tissue(
         areas=shell.area, cells=cells.of_triangle,
     )  # fmt: skip
     bone = spec.body(on or body_name(REGIONS[region].segment))
-    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, ledger=ledger,
+    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, tip=tip, ledger=ledger,
                lock=LOCK if limb else 0.0)  # fmt: skip
     _add_core(spec, region, shell, tissue, origin, floor=floor)
     return SoftRegion(name=region, shell=shell, tissue=tissue, cells=cells)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 MODES = (
     "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
     "safety_truncation", "time_limit", "process_failure", "outside_band", "joint_beyond_range",
+    "not_by_tool",
 )  # fmt: skip
 LINES = ("-", "--", ":", "-.")
 """Line styles of the tasks over one region."""
@@ -37,6 +38,7 @@ MODE_COLOURS = (
     "#000000",
     "#8C564B",
     "#009E73",
+    "#7A4FBF",
 )
 
 
