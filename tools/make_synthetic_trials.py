@@ -63,7 +63,7 @@ class Setup:
 
 
 EXPONENTS = {"nearly-linear": (1.05, 1.25), "middling": (1.35, 1.75), "stiffening": (1.75, 2.25)}
-"""Of depth, for the materials of the analytic route that are powers of it."""
+"""Range of the exponent n for each material of the analytic route whose force is a power of the depth."""
 EXPONENTIAL, DELTAS = "exponential", (1.0, 2.5)
 """The material that is not, and how many times its delta goes into the full depth: its tangent grows by e to 12 times.
 Neither form nor range is fitted to anything."""

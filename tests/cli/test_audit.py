@@ -34,11 +34,10 @@ def test_nothing_leaks_to_any_registered_policy_on_the_hardest_level(
     assert counts["schema"] == {"trials": len(AUDITED), "messages": len(AUDITED)}
     assert "1 card, " in printed
     # The press that is seen, at every third action, and the blind one at every action.
-    # How many of them are in contact depends on the laws of the tissue and on how fast the robot gets there, which may
-    # change while the protocol is a draft.
-    assert 6 <= counts["re-derivation"]["observations in contact"] <= 3 + 9
+    # How many of them are in contact depends on the laws of the tissue, which may change while the protocol is a draft.
+    assert 8 <= counts["re-derivation"]["observations in contact"] <= 3 + 9
     # One of each policy, and those of both presses until a while after their first contact.
-    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] > len(AUDITED) + 12
+    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] > len(AUDITED) + 16
     assert counts["readings"]["images drawn again"] > 30
     assert counts["canary"]["observations before contact"] >= 2
     assert counts["frozen frames"]["fields of the world scrambled"] > 100

@@ -97,7 +97,9 @@ class Keyframe:
                 if touches(simulation.advance(steps)):
                     at = len(done) + k
                     first = max(at - back, 0)
-                    return states[-1 - (at - first)], np.array([*done, *poses])[first : at + 1 + ahead]
+                    # A robot that came late may touch near the end of its way, and then stays there.
+                    stays = np.repeat(poses[-1:], ahead, 0)
+                    return states[-1 - (at - first)], np.array([*done, *poses, *stays])[first : at + 1 + ahead]
                 states = [*states[-back:], simulation.integration_state()]
             done += list(poses)
         raise SceneError(f"the audit's press does not touch the {region} in {ATTEMPTS} attempts")

@@ -96,8 +96,10 @@ def read_results(path: Path | str) -> RunScores:
     except ValidationError as error:
         first = error.errors()[0]
         why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
-        told = f"{path} is damaged or of another release ({why}); release {RELEASE_0_1_0} reads results up to its own"
-        raise ConfigError(told) from error
+        raise ConfigError(
+            f"{path} is damaged or of another release ({why}); release {RELEASE_0_1_0} reads its own results and "
+            "earlier ones"
+        ) from error
     except ValueError as error:
         raise ConfigError(f"{path} is damaged or of another release (not JSON: {error})") from error
     if fault := _fault(stored):

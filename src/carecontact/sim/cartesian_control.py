@@ -83,9 +83,10 @@ class CartesianControl:
 
     def _hold_back(self) -> None:
         """Damp every axis at least so much that the force of springs and feedforward, before its clamp, drives the tool
-        no faster than HELD_TO allows; likewise the torque. A target at its full speed asks for less than critical
-        damping gives, so that only a tool far from its target, a feedforward without a spring or little damping is held
-        back (a saturation of speed, as in Khatib 1987, IEEE J Robot Autom 3:43)."""
+        no faster than HELD_TO allows, and the torque turns it no faster. Critical damping already does this for a
+        target at full speed. Therefore, this damping acts only where the tool is far from its target, where a
+        feedforward has no spring, or where the policy asks for little damping (a saturation of speed, as in Khatib
+        1987, IEEE J Robot Autom 3:43)."""
         data, bias = self._data, self._model.actuator_biasprm[self._rows]
         off, quat, back, target_quat = np.zeros(6), np.zeros(4), np.zeros(4), data.mocap_quat[self._mocap]
         mujoco.mju_negQuat(back, target_quat)

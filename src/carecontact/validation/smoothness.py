@@ -35,7 +35,7 @@ TITLE = "Smoothness of scrubbing"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)
 SPEED_M_S, STROKES, QUICK_STROKES = 0.10, 4, 2
 SLOW_M_S, SLOW_N, SLOW_STROKES = (0.010, 0.020, 0.030), 8.0, 1
-"""Of the slow strokes, which are not part of the short form."""
+"""Speeds, mean force and number of the slow strokes, which only the full form makes."""
 TURNING_M_S = 0.015
 """Speed below which the tool counts as turning round, and for a moment as standing."""
 HALF_WAY_M = 0.050

@@ -183,7 +183,8 @@ typedef struct {
 } State;
 
 // The state has room for HELD_SIZE numbers for every point. Longer rows share this room: no shipped tool touches a
-// third of a region's points at once. Where one does, the points beyond begin anew in each step, and ROW_LEFT says so.
+// third of a region's points at once. Where one does, the points that find no room count as new in each step, and ROW_LEFT
+// says so.
 enum { HELD_SIZE = 4, HELD_LONG = 12 };
 
 int state_size(int nvertex, int ntriangle, int ncell);
