@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from carecontact.contract.protocol import Tissue
 from carecontact.kernel.readings import Readings
-from carecontact.kernel.region import Mesh, add_region
+from carecontact.kernel.region import LOCK, Mesh, add_region
 
 Array = npt.NDArray[np.float64]
 HEAVY_KG = 1e6
@@ -62,14 +62,14 @@ class Sheet:
         free: let the tool turn and go anywhere, instead of slide; then ``move`` and ``hold`` do not work.
         vertices: (n, 3) of a mesh named "tool", for a geom of type MESH.
         more: further geoms of the tool, of ``MjsBody.add_geom``, whose ``pos`` is seen from the lowest point.
-        layer_m, entry_m: of ``add_region``.
+        layer_m, entry_m, lock: of ``add_region``.
     """
 
     def __init__(
         self, law: Tissue, mesh: Mesh, *, bottom_m: float, dt_s: float = 0.002, mass_kg: float = HEAVY_KG,
         ledger: bool = False, give_m3_n: float = 0.0, bone_mass_kg: float | None = None, frame: Array | None = None,
         free: bool = False, vertices: Array | None = None, more: tuple[dict[str, Any], ...] = (), layer_m: float = 0.0,
-        entry_m: float = 0.0, **geom: object,
+        entry_m: float = 0.0, lock: float = LOCK, **geom: object,
     ) -> None:  # fmt: skip
         spec = mujoco.MjSpec()
         spec.option.timestep, spec.option.gravity = dt_s, [0, 0, 0]
@@ -97,7 +97,7 @@ class Sheet:
             spec.nuser_geom, tool.first_geom().userdata = 1, [give_m3_n]
         add_region(
             spec, name="sheet", bone=bone, mesh=mesh, tissue=law, tools="tool", ledger=ledger, layer_m=layer_m,
-            entry_m=entry_m,
+            entry_m=entry_m, lock=lock,
         )  # fmt: skip
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)

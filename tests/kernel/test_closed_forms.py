@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ive, k0, k1
 
-from carecontact.kernel.region import Law
+from carecontact.kernel.region import LOCK, Law
 from tests.kernel.sheets import BOX, CYLINDER, MESH, SPHERE, Sheet, corners_of_a_box, sheet, tissue
 
 
@@ -63,6 +63,32 @@ def test_tissue_that_is_pressed_nearly_to_the_bone_locks() -> None:
         pressure = 2e8 * (depth - inward.mean())
         assert pressure == pytest.approx(Law.of(law).normal_pa(inward).mean(), rel=0.01)
         assert Law.of(law).normal_pa(np.array([depth]))[0] == pytest.approx(1e6 * depth + 1e10 * depth**3 + lock)
+
+
+def test_tissue_that_does_not_lock_is_firmer_across_where_it_is_deep() -> None:
+    """At 0.75 of the thickness: secants of 1.5625 and, where it begins, 1.25 MN/m^3; a quarter is left. Of the growth,
+    5 of 7 parts have set in."""
+    law = Law.of(tissue(a_n_m3=1e6, c_n_m5=1e10, thickness_m=0.01, measured_depth_m=0.005))
+    moved = np.array([[0.005, 1e-4, 0.0], [0.0075, 1e-4, 0.0]])
+    assert law.anchors_pa(moved, lock=0.0)[:, 1] / 1e-4 == pytest.approx([1e6, 1e6 + 0.3125e6 / 0.25 * 5 / 7])
+    assert law.anchors_pa(moved)[:, 1] / 1e-4 == pytest.approx([1e6, 1e6])
+
+
+@pytest.mark.parametrize(("depth", "lock"), [(0.004, 0.0), (0.0075, 0.0), (0.0095, 0.0), (0.0075, LOCK)])
+def test_sheared_tissue_bears_what_its_law_says(depth: float, lock: float) -> None:
+    """A wide disc that presses and moves aside without slipping: its force is that of the anchors in all directions."""
+    law = tissue(a_n_m3=1e6, c_n_m5=1e10, thickness_m=0.01, measured_depth_m=0.005, friction=2.0)
+    made = Sheet(
+        law, sheet(half_m=0.03, spacing_m=0.0025), bottom_m=0.02, lock=lock, type=CYLINDER, size=[0.02, 0.02, 0]
+    )
+    aside = np.concatenate([np.zeros(600), np.linspace(0, 0.001, 200), np.full(600, 0.001)])
+    down = np.concatenate([np.linspace(0.0005, -depth, 200), np.full(1200, -depth)])
+    force = made.move(np.stack([aside, down], 1))[-1]["force_n"]
+    pressure = Law.of(law).anchors_pa(made.felt.displacement(made.data), lock=lock)
+    borne = (pressure * made.felt.areas[:, None]).sum(0)
+    assert abs(force[0]) > 1
+    assert abs(force[0]) == pytest.approx(np.linalg.norm(borne[1:]), rel=5e-3)
+    assert abs(force[2]) == pytest.approx(borne[0], rel=5e-3)
 
 
 def test_a_coarse_mesh_meets_a_round_tool_like_a_fine_one() -> None:

@@ -36,6 +36,10 @@ LOCK_FROM, LOCK = 0.6, 16.0
 """Tissue of a limb that is pressed to more than this share of its thickness locks: at w over that depth, the rest of
 the thickness being h, its pressure is higher by LOCK a h (w / h)^3 (docs/tissue.md). Kept in step with
 ``c/region.h``."""
+FIRM_FROM, FIRMS_OVER, THINNEST = 0.5, 0.1, 0.2
+"""Tissue that does not lock grows firmer across where it is pressed to more than the first share of its thickness, over
+the next FIRMS_OVER of it, and at least THINNEST of it counts as left (docs/tissue.md). Kept in step with
+``c/region.h``."""
 SWEEPS = 60
 """Largest number of sweeps of the solver in a step. In scrubs, half of the steps take one or two, 95 % at most four,
 and the most was 13 (measured)."""
@@ -112,7 +116,8 @@ class Law:
     thickness_m: float
 
     def normal_pa(self, inward_m: Array, *, lock: float = LOCK) -> Array:
-        """Return the pressure (N,) of the anchors along the normal at indentations (N,), without their dampers.
+        """Return the pressure (N,) of the anchors along the normal at indentations (N,), without their dampers and
+        without displacements along the tangents.
 
         ``lock``: as in ``add_region``.
         """
@@ -120,6 +125,26 @@ class Law:
         over = np.maximum(inward_m - LOCK_FROM * self.thickness_m, 0.0)
         polynomial = (self.a_n_m3 + self.b_n_m4 * size + self.c_n_m5 * size**2) * inward_m
         return polynomial + lock * self.a_n_m3 * over**3 / rest**2
+
+    def anchors_pa(self, moved_m: Array, *, lock: float = LOCK) -> Array:
+        """Return the force per area (N, 3) of the anchors at displacements (N, 3), without their dampers.
+
+        It is the gradient of their energy per area: that of ``normal_pa``, plus half of the stiffness across times the
+        square of the displacement across. The stiffness across grows where that along does (docs/tissue.md).
+        ``lock``: as in ``add_region``.
+        """
+        soft, start = FIRMS_OVER * self.thickness_m, np.array(FIRM_FROM * self.thickness_m)
+
+        def across(inward_m: Array) -> Array:
+            deep = np.maximum(inward_m, start)
+            more = self.normal_pa(deep, lock=lock) / deep - self.normal_pa(start, lock=lock) / start
+            share = (deep - start) / (deep - start + soft) if lock == 0 else 0.0
+            return self.a_n_m3 + more * share / np.maximum(THINNEST, 1 - deep / self.thickness_m)
+
+        inward, beside, tiny = moved_m[:, 0], moved_m[:, 1:], 1e-7
+        grows = (across(inward + tiny) - across(inward - tiny)) / (2 * tiny)
+        normal = self.normal_pa(inward, lock=lock) + grows * (beside**2).sum(1) / 2
+        return np.c_[normal, across(inward)[:, None] * beside]
 
     @classmethod
     def of(cls, tissue: Tissue) -> Law:

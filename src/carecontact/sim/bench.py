@@ -312,8 +312,7 @@ class Bench:
     def anchor_force(self) -> Array:
         """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""
         law, u = self.tissue, self.felt.displacement(self._data)
-        spring = law.a_n_m3 * u
-        spring[:, 0] = Law.of(law).normal_pa(u[:, 0], lock=float(self.model.numeric(f"{self.region}/contact").data[2]))
+        spring = Law.of(law).anchors_pa(u, lock=float(self.model.numeric(f"{self.region}/contact").data[2]))
         growth = law.damping_growth_ns_m4 * np.maximum(u[:, :1], 0.0)
         borne = spring + (law.damping_ns_m3 + growth) * self.felt.rate(self._data)
         return np.einsum("i,ij,ijk->k", self.felt.areas, borne, self.felt.frames)

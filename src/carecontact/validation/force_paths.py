@@ -47,8 +47,7 @@ class AnchorForce:
         """Return force and moment (2, 3)."""
         law, felt = self._law, self._felt
         moved, rate = felt.displacement(self._data), felt.rate(self._data)
-        borne = law.a_n_m3 * moved
-        borne[:, 0] = law.normal_pa(moved[:, 0], lock=self._lock)
+        borne = law.anchors_pa(moved, lock=self._lock)
         borne += (law.damping_ns_m3 + law.damping_growth_ns_m4 * np.maximum(moved[:, :1], 0.0)) * rate
         force = felt.areas[:, None] * borne
         first, second = self._edges.T

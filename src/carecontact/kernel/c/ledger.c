@@ -11,7 +11,8 @@ void ledger(Region* r, const State* s, const Law* law) {
     int i = r->window[k];
     const Vertex* v = r->vertex + i;
     const double *u = r->u + 3 * i, *rate = r->rate + 3 * i;
-    stored += v->area * (law_energy(law, u[0]) + law->a / 2 * (u[1] * u[1] + u[2] * u[2]));
+    double grows, across = law->a + law_firmer(law, u[0], &grows);
+    stored += v->area * (law_energy(law, u[0]) + across / 2 * (u[1] * u[1] + u[2] * u[2]));
     kinetic += v->area * law->mass / 2 * dot(rate, rate);
     for (int j = 0; j < 3; j++)
       damped += v->area * law_damping(law, s->u[3 * i]) * rate[j] * (u[j] - s->u[3 * i + j]);

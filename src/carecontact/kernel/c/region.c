@@ -65,7 +65,8 @@ Law law_read(const mjModel* m, const Region* r) {
   double rest = (1 - LOCK_FROM) * x[LAW_THICKNESS], lock = contact ? contact[CONTACT_LOCK] * x[LAW_A] / (rest * rest) : 0;
   return (Law){x[LAW_A], x[LAW_B], x[LAW_C], x[LAW_DAMPING], x[LAW_DAMPING_GROWTH], x[LAW_MASS], x[LAW_COUPLING],
                x[LAW_MEMBRANE], x[LAW_FRICTION], x[LAW_CONTACT], x[LAW_THICKNESS], lock,
-               LOCK_FROM * x[LAW_THICKNESS], contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
+               LOCK_FROM * x[LAW_THICKNESS], lock > 0 ? mjMAXVAL : FIRM_FROM * x[LAW_THICKNESS],
+               contact ? contact[CONTACT_LAYER] : 0, contact ? contact[CONTACT_ENTRY] : 0};
 }
 
 int law_sound(const Law* law) {

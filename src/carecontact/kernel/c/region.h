@@ -6,6 +6,7 @@
 #include <mujoco/mujoco.h>
 
 #include "tool.h"
+#include "vec.h"
 
 enum { RING_ROWS = 64 };
 
@@ -67,10 +68,16 @@ enum { POINTS_EACH = 4 };
 // carecontact/kernel/region.py.
 static const double LOCK_FROM = 0.6;
 
+// Tissue that does not lock grows firmer across where it is pressed to more than this share of its thickness, over the next
+// FIRMS_OVER of it, and at least THINNEST of it counts as left (docs/tissue.md). Kept in step with
+// carecontact/kernel/region.py.
+static const double FIRM_FROM = 0.5, FIRMS_OVER = 0.1, THINNEST = 0.2;
+
 // All of them are doubles, which law_sound adds up.
 typedef struct {
   double a, b, c, damping, damping_growth, mass, coupling, membrane, friction, contact, thickness;
   double lock, locks_at;  // LOCK a / h^2 [N/m^5], and the depth from which the tissue locks [m]
+  double firms_at;        // the depth from which it grows firmer across: mjMAXVAL where it locks [m]
   double layer, entry;    // depth over which the contact layer stiffens, way over which skin is let in [m]
 } Law;
 
@@ -237,6 +244,19 @@ static inline double law_energy(const Law* law, double x) {
   double size = x < 0 ? -x : x, over = x - law->locks_at;
   double energy = x * x * (law->a / 2 + size * (law->b / 3 + size * law->c / 4));
   return over > 0 ? energy + law->lock * over * over * over * over / 4 : energy;
+}
+
+// What the stiffness across has grown by beyond a [N/m^3], and how fast it grows with the depth. Hardly any vertex is
+// pressed so deep.
+static inline double law_firmer(const Law* law, double x, double* grows) {
+  double over = x - law->firms_at;
+  *grows = 0;
+  if (over <= 0) return 0;
+  double from = x - over, secant = law_pressure(law, x) / x, more = secant - law_pressure(law, from) / from;
+  double left = most(THINNEST, 1 - x / law->thickness), soft = FIRMS_OVER * law->thickness, in = over / (over + soft);
+  *grows = ((law_tangent(law, x) - secant) / x * in + more * soft / ((over + soft) * (over + soft))) / left;
+  if (left > THINNEST) *grows += more * in / (law->thickness * left * left);
+  return more * in / left;
 }
 
 static inline double law_damping(const Law* law, double x) { return law->damping + (x > 0 ? law->damping_growth * x : 0); }

@@ -120,15 +120,23 @@ static double relax(Region* r, const Law* law, int i, double share) {
   double g[3] = {b->pull[0] + law->coupling * around[0] - b->normal * u[0] - v->area * law_pressure(law, u[0]),
                  b->pull[1] + law->membrane * around[1] - b->tangential * u[1],
                  b->pull[2] + law->membrane * around[2] - b->tangential * u[2]};
-  double B[6] = {stiff, 0, 0, b->tangential, 0, b->tangential};
+  double grows, firmer = v->area * law_firmer(law, u[0], &grows), across = b->tangential + firmer;
+  if (firmer > 0) {
+    g[0] -= v->area * grows * (u[1] * u[1] + u[2] * u[2]) / 2;
+    g[1] -= firmer * u[1];
+    g[2] -= firmer * u[2];
+  }
+  grows *= v->area;
+  double B[6] = {stiff, grows * u[1], grows * u[2], across, 0, across};
   if (r->moves[i] == CLOSE && add_contacts(r, law, i, g, B)) {
     solve3(B, g, x);
     double size = most3(x), part = size > LARGEST ? LARGEST / size : share;
     for (int j = 0; j < 3; j++) x[j] *= part;
   } else {
     x[0] = g[0] / stiff;
-    x[1] = g[1] * b->over;
-    x[2] = g[2] * b->over;
+    double over = firmer > 0 ? 1 / across : b->over;
+    x[1] = g[1] * over;
+    x[2] = g[2] * over;
   }
   for (int j = 0; j < 3; j++) u[j] += x[j];
   if (r->moves[i] == CLOSE) carry(r, i, x);
