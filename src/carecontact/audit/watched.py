@@ -14,7 +14,7 @@ import numpy.typing as npt
 from carecontact.audit.keyframe import CONTROL_HZ
 from carecontact.audit.raw_log import Meta, write_look, write_meta
 from carecontact.audit.state import StateReader
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Baked
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
@@ -155,15 +155,20 @@ def watch(
     card = watched.card
     protocol = like(spec.protocol, drawn[-1]) if drawn else spec.protocol
     if log is not None and watched.looks and card is not None:
-        scene, known = protocol.scene, calibration(spec.protocol, spec.seed, salt=spec.salt)
+        scene, robot, known = (
+            protocol.scene,
+            protocol.scene.robot,
+            calibration(spec.protocol, spec.seed, salt=spec.salt),
+        )
         write_meta(
             log,
             Meta(
                 policy=policy, instruction=watched.instruction, arguments=dict(card.arguments),
                 modalities=card.modalities, cameras=card.cameras,
-                tcp_in_hand_m=(0.0, 0.0, PANDA.tcp_z_m),
+                tcp_in_hand_m=(0.0, 0.0, robot.tcp_z_m),
                 calibration={name: error.tolist() for name, error in known.items()},
                 cell={
+                    "arm": robot.source.name if isinstance(robot.source, Baked) else "",
                     "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,
                     "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},
                 },
