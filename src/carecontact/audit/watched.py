@@ -56,6 +56,8 @@ class Watched:
     policy: str
     """Name of the policy whose card was shown."""
     task_id: str
+    joints: int
+    """Number of the robot's joints."""
     recording: Recording | None = None
     error: str | None = None
     """Why the harness could not run the trial, or why the policy's process failed; None if neither happened."""
@@ -114,7 +116,8 @@ def watch(
 
     ``setup``: how to start or reach the policy; by default, the policy's name in ``spec`` decides.
     """
-    watched = Watched(policy=policy, task_id=spec.task_id, instruction=spec.protocol.task(spec.task_id).prompt)
+    task, robot = spec.protocol.task(spec.task_id), spec.protocol.scene.robot
+    watched = Watched(policy=policy, task_id=task.id, instruction=task.prompt, joints=len(robot.joints))
     readers: list[StateReader] = []
     drawn: list[Protocol] = []
     kept = 0
