@@ -97,7 +97,7 @@ class Robot:
     parked_joint_rad: tuple[float, ...]
     """Posture in which a trial begins unless its protocol gives another."""
     reach: Reach | None = None
-    """None: the base of this robot cannot be drawn."""
+    """None: no place of this robot's base can be drawn by a seed."""
     wrist_geoms: tuple[str, ...] = ()
     """How the names begin of the geoms that the oracle keeps clear of the person."""
     hand_boxes_m: tuple[tuple[tuple[float, float, float], float], ...] = ()

@@ -50,11 +50,15 @@ def asset_hashes(protocol: Protocol) -> dict[str, str]:
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
     robot = protocol.scene.robot
     own = f"{robot.source.name}/{robot.source.name}.npz" if isinstance(robot.source, Baked) else robot.id
-    return {"kernel/c": sources_sha256(), own: robot.source.sha256} | {
-        f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
-        for place, name in places
-        if (file := folder / place / name).is_file()
-    }
+    return (
+        {"kernel/c": sources_sha256()}
+        | {
+            f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
+            for place, name in places
+            if (file := folder / place / name).is_file()
+        }
+        | {own: robot.source.sha256}
+    )
 
 
 def worlds_of(protocol: Protocol) -> dict[str, tuple[Protocol, str]]:

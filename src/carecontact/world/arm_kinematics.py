@@ -17,10 +17,11 @@ class Arm:
     """Forward kinematics and inertia of the baked arm, vectorized over postures (B, joints), in the base frame."""
 
     def __init__(self, robot: Robot) -> None:
-        """Raises SceneError for a robot whose arm is not baked."""
-        if not isinstance(robot.source, Baked):
-            raise SceneError(f"robot {robot.id}: where its base can stand is computed for baked arms alone")
-        asset, self.joints, self._tcp_z_m = arrays_of(robot.source), len(robot.joints), robot.tcp_z_m
+        """Raises SceneError for a robot whose arm is not baked, and for one without a reach."""
+        if not isinstance(robot.source, Baked) or robot.reach is None:
+            raise SceneError(f"robot {robot.id}: only a baked arm with a reach can be asked where its base may stand")
+        self.reach, self.joints, self._tcp_z_m = robot.reach, len(robot.joints), robot.tcp_z_m
+        asset = arrays_of(robot.source)
         self.frames = np.stack(
             [pose_matrix(p, q) for p, q in zip(asset["frame_position_m"], asset["frame_quat"], strict=True)]
         )

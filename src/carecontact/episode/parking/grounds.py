@@ -9,10 +9,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from carecontact.contract.embodiment import Reach, Robot
 from carecontact.contract.protocol import Camera, Protocol, Vec3
 from carecontact.episode.parking.laid import Array, Laid
-from carecontact.errors import SceneError
 from carecontact.regions import REGIONS, Tube
 from carecontact.world.arm_kinematics import Arm, follow
 from carecontact.world.human.pose import BOARD_HEIGHT_M
@@ -90,18 +88,8 @@ class Ground:
         return np.concatenate([self.laid.cloud, *(laid.cloud[laid.on_arm] for laid in self.moved)])
 
     @cached_property
-    def _robot(self) -> Robot:
-        return self.protocol.scene.robot
-
-    @cached_property
     def _arm(self) -> Arm:
-        return Arm(self._robot)
-
-    @cached_property
-    def _reach(self) -> Reach:
-        if self._robot.reach is None:
-            raise SceneError(f"robot {self._robot.id} has no reach, and so no place of its base can be drawn")
-        return self._robot.reach
+        return Arm(self.protocol.scene.robot)
 
     @cached_property
     def _parked(self) -> Array:
@@ -122,10 +110,10 @@ class Ground:
         """Return why the robot may not stand at a base for a task on a region; None if it may."""
         at, turn = np.array(base.position_m), base.turn
         targets = self.targets(region, self.laid)
-        found = self._in_the_way(at) or self._out_of_reach((targets - at) @ turn, self._reach.wrist_m)
+        found = self._in_the_way(at) or self._out_of_reach((targets - at) @ turn, self._arm.reach.wrist_m)
         if found is None and self.moved:
             moved = np.concatenate([self.targets(region, laid) for laid in self.moved])
-            found = self._out_of_reach((moved - at) @ turn, self._reach.moved_wrist_m)
+            found = self._out_of_reach((moved - at) @ turn, self._arm.reach.moved_wrist_m)
             targets = np.unique(np.concatenate([targets, moved]), axis=0)
         return found or self._over_the_person(at, turn) or self._awkward(base, targets)
 
@@ -146,8 +134,9 @@ class Ground:
         """Check that targets are within reach. ``local``: targets (n, 3) [m] in the robot's base, for a tool that
         points down and away from the base.
         """
-        level = np.hypot(local[:, 0], local[:, 1]) - self._reach.wrist_offset_m
-        distance = np.hypot(level, local[:, 2] + self._reach.wrist_to_tcp_m - self._reach.shoulder_height_m)
+        reach = self._arm.reach
+        level = np.hypot(local[:, 0], local[:, 1]) - reach.wrist_offset_m
+        distance = np.hypot(level, local[:, 2] + reach.wrist_to_tcp_m - reach.shoulder_height_m)
         if distance.min() < wrist_m[0] or distance.max() > wrist_m[1]:
             return "reach"
         low, high = (np.array(side) for side in (
