@@ -54,7 +54,7 @@ def seen(protocol: Protocol, task_id: str, region: str, seed: int) -> dict[str, 
     simulation.refresh()
     truth = Truth(simulation, region)
     geometry, camera = truth.geometry(), camera_in_base(simulation)
-    start = simulation.robot.pose_tcp_in_base(simulation.data)[:3, 3]
+    start = simulation.encoders.pose_tcp_in_base(simulation.data)[:3, 3]
     support = geometry.support_height_m
     distances, heights = geometry.profile_m.T
     numbers = {
@@ -70,7 +70,7 @@ def seen(protocol: Protocol, task_id: str, region: str, seed: int) -> dict[str, 
 def camera_in_base(simulation: Simulation) -> np.ndarray:
     """(4, 4) where the camera really stands."""
     data, number = simulation.data, mujoco.mj_name2id(simulation.model, mujoco.mjtObj.mjOBJ_CAMERA, CAMERA)
-    return simulation.robot.in_base(data, data.cam_xpos[number], data.cam_xmat[number].reshape(3, 3) @ OPENCV)
+    return simulation.encoders.in_base(data, data.cam_xpos[number], data.cam_xmat[number].reshape(3, 3) @ OPENCV)
 
 
 OPENCV = np.diag([1.0, -1.0, -1.0])

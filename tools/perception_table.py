@@ -113,7 +113,7 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
         look(protocol, "wrist", "", ON_WRIST)
         for region in STANDARD_REGIONS:
             place, _ = true_target(region, joints, skin, model.skin_face, least_share=middle_share(model, region))
-            simulation.robot.set_joint_position(data, above(place, protocol))
+            simulation.encoders.set_joint_position(data, above(place, protocol))
             mujoco.mj_forward(model, data)
             look(protocol, "over", region)
     return rows
@@ -157,7 +157,7 @@ def above(place: np.ndarray, protocol: Protocol) -> np.ndarray:
 
     Raises SystemExit if the arm cannot get there: such a scene must not be left out in silence.
     """
-    arm, yaws = Arm(), np.deg2rad(np.arange(0, 360, 30.0))
+    arm, yaws = Arm(protocol.scene.robot), np.deg2rad(np.arange(0, 360, 30.0))
     seeds = np.tile(protocol.scene.parked_joint_rad, (len(yaws), 1))
     goal = np.tile(place + [0, 0, OVER_M], (len(yaws), 1))
     postures, error = arm.inverse(goal, pointing_down(yaws), seeds, iterations=120)

@@ -409,7 +409,8 @@ def main() -> None:
     parser.add_argument("--places", type=float, nargs=3, metavar=("ALONG_M", "ACROSS_M", "YAW_DEG"),
                         help="only check it with the person moved by so much either way")  # fmt: skip
     options = parser.parse_args()
-    protocol, arm = load_protocol(options.protocol), Arm()
+    protocol = load_protocol(options.protocol)
+    arm = Arm(protocol.scene.robot)
     if options.check:
         raise SystemExit(0 if check_bodies(arm, protocol) else 1)
     if options.places:

@@ -24,7 +24,7 @@ def message(**changes: object) -> dict[str, Any]:
 
 
 def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
-    assert check_message(pack(message()), ALL) == []
+    assert check_message(pack(message()), ALL, joints=7) == []
     assert set().union(*FIELDS_OF.values()) | {"intrinsics", "pose_camera_in_base"} == ALLOWED_IN_VIEW
     assert set(FIELDS_OF) == set(MODALITIES)
     assert {name for name in vars(synthetic_view())} == {name for name in CameraView.__dataclass_fields__}
@@ -37,7 +37,8 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
         ([1], ALL, "message", "got list"),
         (message(contact_force=1.0), ALL, "observation.contact_force", "privileged"),
         (message(contact_force=1.0), ALL, "observation", "unknown key contact_force"),
-        (message(joint_position=np.zeros(8)), ALL, "observation", "expected float64 (7)"),
+        (message(joint_position=np.zeros(8)), ALL, "observation", "expected float64 (joints)"),
+        (message(joint_position=np.zeros(8), joint_velocity=np.zeros(8)), ALL, "observation.joint_position", "got 8"),
         (message(), None, "card", "showed no card"),
         (
             message(),
@@ -54,7 +55,7 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
     ],
 )
 def test_what_is_wrong_is_named(sent: object, card: PolicyCard | None, place: str, told: str) -> None:
-    found = check_message(pack(sent), card)
+    found = check_message(pack(sent), card, joints=7)
     assert any(where == place and told in what for where, what in found), found
 
 

@@ -169,7 +169,7 @@ def test_validate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
     ("arguments", "error"),
     [
         (["score", "nowhere", "--json"], "ConfigError"),
-        (["list", "robots", "--json"], "UsageError"),
+        (["list", "planets", "--json"], "UsageError"),
         (["report", "nowhere", "--json"], "UsageError"),
         (["--json"], "UsageError"),
     ],

@@ -113,7 +113,7 @@ def test_no_number_is_infinite_or_undefined(value: float) -> None:
         (("gates", "set"), "gates-v9"),
         (("tasks", 0, "action"), "hit"),
         (("tasks", 0, "region"), "head"),
-        (("scene", "parked_joint_rad"), [0.0] * 6),
+        (("scene", "tool"), "glove"),
         (("cameras", "overhead", "mount"), "ceiling"),
     ],
 )
@@ -121,6 +121,11 @@ def test_impossible_values_are_refused(path: Path, value: Any) -> None:
     with pytest.raises(ValidationError) as caught:
         Protocol.model_validate(changed(path, value))
     assert {error["loc"][: len(path)] for error in caught.value.errors()} == {path}
+
+
+def test_a_parked_posture_has_an_angle_for_each_joint_of_the_robot() -> None:
+    with pytest.raises(ValidationError, match=r"parked_joint_rad: expected 7 angles .*, got 6"):
+        Protocol.model_validate(changed(("scene", "parked_joint_rad"), [0.0] * 6))
 
 
 def test_protocols_are_frozen() -> None:

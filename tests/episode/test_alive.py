@@ -91,7 +91,7 @@ def test_the_depth_image_shows_the_declared_breath(begin: Callable[..., World]) 
             matrix = renderer.intrinsics("overhead")
         for part, point in (("abdomen", simulation.data.site("region_abdomen").xpos), ("chest", None)):
             at = simulation.data.body(body_name("thorax")).xpos + [0.17, 0.0, 0.1] if point is None else point
-            in_base = simulation.robot.in_base(simulation.data, at, np.eye(3))[:3, 3]
+            in_base = simulation.encoders.in_base(simulation.data, at, np.eye(3))[:3, 3]
             x, y, z = camera[:3, :3].T @ (in_base - camera[:3, 3])
             u, v = round(x / z * matrix[0, 0] + matrix[0, 2]), round(y / z * matrix[1, 1] + matrix[1, 2])
             window = slice(v - 2, v + 3), slice(u - 2, u + 3)

@@ -92,9 +92,9 @@ def test_a_feedforward_ends_with_its_episode(parked_world: Callable[[TrialSpec],
     """Episodes may share a compiled scene, and settling steps it before any control period begins."""
     played(parked_world, t1, [Action(wrench_in_tcp=PUSH)])
     simulation, *_ = parked_world(t1)
-    before = simulation.robot.joint_position(simulation.data)
+    before = simulation.encoders.joint_position(simulation.data)
     mujoco.mj_step(simulation.model, simulation.data, 50)
-    np.testing.assert_allclose(simulation.robot.joint_position(simulation.data), before, atol=1e-6)
+    np.testing.assert_allclose(simulation.encoders.joint_position(simulation.data), before, atol=1e-6)
 
 
 def test_a_pose_policys_recording_has_no_new_array(parked_world: Callable[[TrialSpec], World], t1: TrialSpec) -> None:

@@ -28,7 +28,7 @@ def test_velocities_start_from_the_measured_angles_and_are_scaled_as_a_vector(
         observation = episode.reset()
         v = np.array([2.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
         for _ in range(3):
-            before = episode.simulation.robot.joint_position(episode.simulation.data)
+            before = episode.simulation.encoders.joint_position(episode.simulation.data)
             episode.step(Action(joint=v), observe=False)
             np.testing.assert_array_equal(episode.simulation.control._target, before + 0.2 * v / 2)
         episode.step(Action(done=True), observe=False)
@@ -68,7 +68,7 @@ def test_targets_are_recorded_as_poses_of_the_tool(parked_world: Callable[[Trial
         episode.step(Action(), observe=False)
         for _ in range(45):
             episode.step(Action(joint=goal), observe=False)
-        reached = episode.simulation.robot.pose_tcp_in_base(episode.simulation.data)[:3, 3]
+        reached = episode.simulation.encoders.pose_tcp_in_base(episode.simulation.data)[:3, 3]
         episode.step(Action(done=True), observe=False)
         recording = episode.finish()
     np.testing.assert_allclose(recording["scorer/target_in_base"][-1, :3], reached, atol=2e-3)

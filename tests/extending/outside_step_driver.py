@@ -10,6 +10,6 @@ from carecontact.episode.drivers.joint import JointDriver
 class JointStep(JointDriver):
     def _target(self, joint: np.ndarray) -> np.ndarray:
         if not hasattr(self, "_last"):
-            self._last = self.simulation.robot.joint_position(self.simulation.data)
+            self._last = self.simulation.encoders.joint_position(self.simulation.data)
         self._last = self._last + joint
         return self._last

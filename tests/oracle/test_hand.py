@@ -22,8 +22,8 @@ def test_a_free_place_is_touched_straight_from_above(simulation: Simulation) -> 
 def test_the_hand_turns_where_it_would_land_on_the_person(simulation: Simulation, monkeypatch) -> None:
     """Beside the head, the hand that points straight down hits it, and a turned or leant one has more room."""
     data = simulation.data
-    head = simulation.robot.in_base(data, data.geom("human_hull_head").xpos, np.eye(3))[:3, 3]
-    chest = simulation.robot.in_base(data, data.geom("human_hull_right_chest").xpos, np.eye(3))[:3, 3]
+    head = simulation.encoders.in_base(data, data.geom("human_hull_head").xpos, np.eye(3))[:3, 3]
+    chest = simulation.encoders.in_base(data, data.geom("human_hull_right_chest").xpos, np.eye(3))[:3, 3]
     place = Truth(simulation, "upper_arm").geometry().centre_m
     beside = place + 0.35 * ((head + chest) / 2 - place) * [1, 1, 0]
     straight = hand._Arm(simulation, "upper_arm").tried(radial_quat(beside), beside[None])

@@ -289,7 +289,7 @@ def test_paths_outside_the_schema_are_refused(tmp_path: Path, path: str) -> None
 
 def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
     """Zeros that fit the schema and the recording; ``more``: so much longer along the first dimension."""
-    sizes = {"C": 5, "E": 2, "V": 4}
+    sizes = {"C": 5, "E": 2, "V": 4, "Q": 7}
     for required in ARRAYS:
         sizes |= dict(zip(dimensions(required), recording[required].shape, strict=True))
     shape = [int(name) if name.isdecimal() else sizes[name] for name in dimensions(path)]

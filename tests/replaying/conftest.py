@@ -29,7 +29,7 @@ def press() -> Recording:
         top = data.site("region_forearm").xpos + [0, 0, region.size_m[2] - DEEP_M]
         start = first.pose_tcp_in_base
         goal = start.copy()
-        goal[:3] = episode.simulation.robot.in_base(data, top, np.eye(3))[:3, 3]
+        goal[:3] = episode.simulation.encoders.in_base(data, top, np.eye(3))[:3, 3]
         way = [start + share * (goal - start) for share in np.linspace(0, 1, 50)[1:]]
         for number, pose in enumerate(way):
             step = episode.step(Action(pose_tcp_in_base=pose), observe=number == len(way) - 1)

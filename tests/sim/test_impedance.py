@@ -21,7 +21,7 @@ from carecontact.sim.impedance import (
 from carecontact.world.robot import add_robot
 
 PROTOCOL = load_protocol()
-PARKED = np.array(PROTOCOL.scene.parked_joint_rad)
+ROBOT, PARKED = PROTOCOL.scene.robot, np.array(PROTOCOL.scene.parked_joint_rad)
 
 
 def parked(model: mujoco.MjModel) -> mujoco.MjData:
@@ -50,7 +50,7 @@ def build(*, wall_below_m: float | None = None) -> tuple[mujoco.MjModel, mujoco.
         )
         model = spec.compile()
         data = parked(model)
-    write_target(model, data, tcp_pose_in_base(model, data))
+    write_target(model, data, ROBOT, tcp_pose_in_base(model, data, ROBOT))
     mujoco.mj_forward(model, data)
     return model, data
 
@@ -58,11 +58,11 @@ def build(*, wall_below_m: float | None = None) -> tuple[mujoco.MjModel, mujoco.
 def ramp(model: mujoco.MjModel, data: mujoco.MjData, goal: np.ndarray, *, settle_s: float = 2.0) -> None:
     """Drive the target to ``goal`` under the speed limits, then wait."""
     interpolator = TargetInterpolator(PROTOCOL.physics)
-    interpolator.reset(tcp_pose_in_base(model, data))
+    interpolator.reset(tcp_pose_in_base(model, data, ROBOT))
     interpolator.set_goal(goal, 0.1)
     steps = round(PROTOCOL.physics.target_period_s / PROTOCOL.physics.dt_s)
     for _ in range(75):
-        write_target(model, data, interpolator.advance())
+        write_target(model, data, ROBOT, interpolator.advance())
         mujoco.mj_step(model, data, steps)
     np.testing.assert_allclose(interpolator.advance(), goal, atol=1e-9)
     mujoco.mj_step(model, data, round(settle_s / PROTOCOL.physics.dt_s))
@@ -78,10 +78,10 @@ def turned(pose: np.ndarray, angle_rad: float, axis: np.ndarray) -> np.ndarray:
 
 def test_settles_on_the_target_in_free_space() -> None:
     model, data = build()
-    goal = tcp_pose_in_base(model, data)
+    goal = tcp_pose_in_base(model, data, ROBOT)
     goal[:3] += [0.05, -0.08, -0.06]
     ramp(model, data, goal, settle_s=4.0)
-    np.testing.assert_allclose(tcp_pose_in_base(model, data)[:3], goal[:3], atol=1e-6)
+    np.testing.assert_allclose(tcp_pose_in_base(model, data, ROBOT)[:3], goal[:3], atol=1e-6)
 
 
 def test_target_and_tcp_use_the_same_base_frame() -> None:
@@ -94,10 +94,10 @@ def test_target_and_tcp_use_the_same_base_frame() -> None:
 
 def test_follows_a_reorientation_of_46_degrees() -> None:
     model, data = build()
-    start = tcp_pose_in_base(model, data)
+    start = tcp_pose_in_base(model, data, ROBOT)
     goal = turned(start, np.deg2rad(46), np.array([0.6, 0.8, 0.0]))
     ramp(model, data, goal, settle_s=4.0)
-    now = tcp_pose_in_base(model, data)
+    now = tcp_pose_in_base(model, data, ROBOT)
     error = np.trace(matrix_from_quat(goal[3:]).T @ matrix_from_quat(now[3:]))
     assert np.arccos(np.clip((error - 1) / 2, -1, 1)) < 1e-3
     assert np.linalg.norm(now[:3] - goal[:3]) < 1e-4
@@ -107,10 +107,10 @@ def test_follows_a_reorientation_of_46_degrees() -> None:
 def test_push_on_a_wall_is_stiffness_times_overtravel(stiffness: float) -> None:
     model, data = build(wall_below_m=0.02)
     set_gains(model, np.repeat([stiffness, 20.0], 3), 1.0, PROTOCOL)
-    goal = tcp_pose_in_base(model, data)
+    goal = tcp_pose_in_base(model, data, ROBOT)
     goal[2] -= 0.06
     ramp(model, data, goal)
-    overtravel = tcp_pose_in_base(model, data)[2] - goal[2]
+    overtravel = tcp_pose_in_base(model, data, ROBOT)[2] - goal[2]
     force = np.zeros(6)
     total = 0.0
     for i in range(data.ncon):
@@ -122,9 +122,9 @@ def test_push_on_a_wall_is_stiffness_times_overtravel(stiffness: float) -> None:
 
 def test_force_is_clamped_on_every_axis() -> None:
     model, data = build()
-    pose = tcp_pose_in_base(model, data)
+    pose = tcp_pose_in_base(model, data, ROBOT)
     pose[:3] += [2.0, -2.0, 2.0]
-    write_target(model, data, turned(pose, 2.5, np.array([0.0, 0.0, 1.0])))
+    write_target(model, data, ROBOT, turned(pose, 2.5, np.array([0.0, 0.0, 1.0])))
     mujoco.mj_forward(model, data)
     clamp = PROTOCOL.impedance.force_clamp_n
     np.testing.assert_allclose(np.abs(data.actuator_force[:3]), clamp)
@@ -142,14 +142,14 @@ def test_gravity_is_compensated_with_the_gains_off() -> None:
 
 def test_elbow_returns_to_the_posture_and_the_tcp_stays() -> None:
     model, data = build()
-    start = tcp_pose_in_base(model, data)
+    start = tcp_pose_in_base(model, data, ROBOT)
     # Drive the elbow off along the null direction of the Jacobian, as a disturbance would, then let go.
     for hold, seconds in ((False, 1.0), (True, 8.0)):
         for _ in range(round(seconds / 0.02)):
             posture = PARKED if hold else PARKED + np.array([0.3, 0, -0.3, 0, 0, 0, 0])
-            data.qfrc_applied[:7] = Posture(model, posture).torque(data)
+            data.qfrc_applied[:7] = Posture(model, ROBOT, posture).torque(data)
             mujoco.mj_step(model, data, 10)
-            assert np.linalg.norm(tcp_pose_in_base(model, data)[:3] - start[:3]) < 1e-3
+            assert np.linalg.norm(tcp_pose_in_base(model, data, ROBOT)[:3] - start[:3]) < 1e-3
         if not hold:
             assert np.abs(data.qpos - PARKED).max() > 0.05
     assert np.abs(data.qpos - PARKED).max() < 0.01

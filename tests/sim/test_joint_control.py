@@ -36,7 +36,7 @@ def arm(name: str, *, wall_below_m: float | None = None) -> tuple[mujoco.MjModel
     spec.option.timestep = PROTOCOL.physics.dt_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     add_robot(spec, PROTOCOL)
-    replace_impedance(spec, law_of(name))
+    replace_impedance(spec, PROTOCOL.scene.robot, law_of(name))
     if wall_below_m is not None:
         model = spec.compile()
         data = parked(model)

@@ -7,7 +7,7 @@ import pytest
 from carecontact.contract.embodiment import PANDA, PANDA_MITT
 from carecontact.errors import SceneError
 from carecontact.protocols import load_protocol, overridden
-from carecontact.world.robot import add_robot, panda_asset
+from carecontact.world.robot import add_robot, arrays_of
 
 PROTOCOL = load_protocol()
 
@@ -113,7 +113,8 @@ def test_arm_never_collides_with_itself(model: mujoco.MjModel) -> None:
 
 
 def test_mass_and_size_of_the_asset(model: mujoco.MjModel) -> None:
-    assert model.body_subtreemass[model.body("robot_base").id] == pytest.approx(panda_asset()["mass_kg"].sum())
+    mass = arrays_of(PANDA.source)["mass_kg"].sum()
+    assert model.body_subtreemass[model.body("robot_base").id] == pytest.approx(mass)
     assert 15 < model.body_mass.sum() < 20
     assert 8_000 < model.mesh_facenum.sum() < 16_000
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.contract.embodiment import Baked
 from carecontact.contract.geometry import matrix_from_quat
 
 F64 = npt.NDArray[np.float64]
@@ -18,14 +19,11 @@ SAME = 1e-12
 between two orders of multiplying the same matrices."""
 
 
-def pose_hand_in_base(joint_position: F64) -> F64:
-    """Return the pose (4, 4) of the hand for joint angles (7,) [rad], by the frames of the shipped arm. Every joint
+def pose_hand_in_base(arm: str, joint_position: F64) -> F64:
+    """Return the pose (4, 4) of the hand for joint angles (joints,) [rad], by the frames of a baked arm. Every joint
     turns about the z axis of its frame.
     """
-    with (
-        resources.as_file(resources.files("carecontact") / "assets" / "panda" / "panda.npz") as path,
-        np.load(path) as asset,
-    ):
+    with resources.as_file(Baked(name=arm).file()) as path, np.load(path) as asset:
         positions, quats = asset["frame_position_m"], asset["frame_quat"]
     pose = np.eye(4)
     for i, (position, quat) in enumerate(zip(positions, quats, strict=True)):

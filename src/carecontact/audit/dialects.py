@@ -11,7 +11,7 @@ import numpy as np
 from carecontact.audit.words import PRIVILEGED
 from carecontact.contract.policy import PolicyCard
 from carecontact.errors import CarecontactError
-from carecontact.hosting.dialects import vla_eval
+from carecontact.hosting.dialects import chunks, vla_eval
 from carecontact.hosting.dialects.again import dialect_of, unpacked
 from carecontact.hosting.dialects.profiles import (
     CARTESIAN,
@@ -27,7 +27,7 @@ Found = Iterator[tuple[str, str]]
 """Pairs of a place in a message and what is wrong there."""
 RANDOM_ID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-4[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}")
 """A UUID of version 4, which consists of random bits and can therefore reveal nothing."""
-NUMBERS = {JOINTS: (7,), GRIPPER: (1,), CARTESIAN: (6,)}
+NUMBERS = {JOINTS: (chunks.JOINTS,), GRIPPER: (1,), CARTESIAN: (6,)}
 """Key of a message of openpi's family -> shape of its array of type ``<f8``."""
 
 
@@ -103,7 +103,7 @@ def _vla_eval(entries: dict[str, Any], card: PolicyCard, *, instruction: str, nu
         elif place in vla_eval.HELLO and value != vla_eval.HELLO[place]:
             yield where, f"expected {vla_eval.HELLO[place]!r}, got {value!r:.80}"
         elif place == "states":
-            yield from _array(value, "<f8", (8,), where)
+            yield from _array(value, "<f8", (chunks.WIDTH,), where)
         elif place in pictures.values():
             yield from _array(value, "|u1", (None, None, 3), where)
 

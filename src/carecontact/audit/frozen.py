@@ -12,7 +12,7 @@ import numpy as np
 
 from carecontact.audit.differences import differences
 from carecontact.audit.finding import Finding, Part
-from carecontact.contract.embodiment import PANDA
+from carecontact.audit.state import robot_addresses
 from carecontact.contract.policy import PolicyCard
 from carecontact.hosting.wire import codec
 from carecontact.observation import builder as builders
@@ -62,7 +62,7 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
             before = build(renderer, simulation.data)
             for round_ in range(ROUNDS):
                 rng = np.random.default_rng([1, round_])
-                data = scrambled(simulation, rng, keep=_encoders(simulation.model))
+                data = scrambled(simulation, rng, keep=_encoders(simulation))
                 fields += len(_arrays(data))
                 changed += sum(
                     not np.array_equal(a, b, equal_nan=True)
@@ -122,12 +122,13 @@ def scrambled_model(model: mujoco.MjModel, rng: np.random.Generator) -> mujoco.M
     return model
 
 
-def _encoders(model: mujoco.MjModel) -> Callable[[str], Any]:
+def _encoders(simulation: Simulation) -> Callable[[str], Any]:
     """Return which indices of each field hold the robot's own readings and the calibrated cameras."""
-    joints = [model.joint(name) for name in PANDA.joints]
-    base, tcp = model.body(PANDA.base_body).id, model.site(PANDA.tcp_site).id
+    model, robot = simulation.model, simulation.robot
+    base, tcp = model.body(robot.base_body).id, model.site(robot.tcp_site).id
+    qpos, qvel = robot_addresses(model, robot)
     rows: dict[str, Any] = {
-        "qpos": [int(j.qposadr[0]) for j in joints], "qvel": [int(j.dofadr[0]) for j in joints],
+        "qpos": qpos, "qvel": qvel,
         "xpos": base, "xmat": base, "xquat": base, "site_xpos": tcp, "site_xmat": tcp,
         "cam_xpos": slice(None), "cam_xmat": slice(None),
     }  # fmt: skip

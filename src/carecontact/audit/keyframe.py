@@ -110,7 +110,7 @@ def _press(simulation: Simulation, region: str) -> F64:
     press on the region where it lies now.
     """
     simulation.refresh()
-    base = simulation.robot.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
+    base = simulation.encoders.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
     skin, start = base[:3, 3], simulation.control.target_in_base
     press = Leg(points=(skin - PRESS_DEPTH_M * UP)[None], quat_wxyz=radial_quat(skin), speed_m_s=PRESS_SPEED_M_S)
     above = replace(press, points=(skin + 0.02 * UP)[None], speed_m_s=5 * PRESS_SPEED_M_S)

@@ -33,7 +33,7 @@ class Meta:
     cameras: tuple[str, ...]
     tcp_in_hand_m: tuple[float, float, float]
     cell: dict[str, Any]
-    """The protocol's description of the cell: ``robot_base_m``, ``robot_yaw_deg`` and ``cameras``."""
+    """``arm`` is the name of a baked one; ``robot_base_m``, ``robot_yaw_deg`` and ``cameras`` are the protocol's."""
     calibration: dict[str, list[list[float]]]
     """Fixed camera -> (4, 4) error with which the cell knows its pose (``observation.calibration``); empty where the
     cell knows the poses exactly."""
@@ -48,9 +48,9 @@ class WorldState:
     steps: int
     """Physics steps since t = 0."""
     joint_position: npt.NDArray[np.float64]
-    """(7,) of the robot [rad]"""
+    """(joints,) of the robot [rad]"""
     joint_velocity: npt.NDArray[np.float64]
-    """(7,) of the robot [rad/s]"""
+    """(joints,) of the robot [rad/s]"""
     vector: npt.NDArray[np.float64]
     """(n,) everything that pictures depend on, in the order of ``state.DRAWN``."""
 

@@ -80,7 +80,7 @@ def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list
 
 def _misplaced(raw: RawReadings, meta: Meta) -> list[tuple[str, str]]:
     """Return the poses and intrinsic matrices that differ from what calibration and encoders give."""
-    hand, tcp_in_hand = pose_hand_in_base(raw.joint_position), np.eye(4)
+    hand, tcp_in_hand = pose_hand_in_base(meta.cell["arm"], raw.joint_position), np.eye(4)
     tcp_in_hand[:3, 3] = meta.tcp_in_hand_m
     rows = [("pose_tcp_in_base", raw.pose_tcp_in_base, hand @ tcp_in_hand)]
     for name, view in raw.views.items():

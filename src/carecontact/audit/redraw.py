@@ -18,7 +18,7 @@ from carecontact.audit.differences import differences
 from carecontact.audit.pictures import Pictures, cell_model
 from carecontact.audit.raw_log import IMAGES, SPEC, LoggedLook, WorldState, read_looks, read_meta, read_spec
 from carecontact.audit.state import DRAWN, robot_addresses
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Robot
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.drawn import drawn
 from carecontact.episode.randomization import calibration, dress, lay, sensor_noise
@@ -78,7 +78,7 @@ class _World:
         self._spec, self.images = spec, 0
         self._drawn = drawn(spec)
         self._cameras = {str(name): camera for name, camera in self._drawn.protocol.cameras.items()}
-        self._cell = cell_model(self._drawn.protocol)
+        self._cell, self._robot = cell_model(self._drawn.protocol), self._drawn.protocol.scene.robot
 
     def differences(self, look: LoggedLook, noise: SensorNoise, known: Calibration) -> list[tuple[str, str]]:
         """Return pairs of a place and a difference, to the last bit, for all readings behind one message.
@@ -88,20 +88,21 @@ class _World:
         state, raw = look.state, look.raw
         now_s = state.steps * self._spec.protocol.physics.dt_s
         angles = noise.joint_position(state.joint_position, sim_time_s=now_s)
-        data = _at(self._cell, angles, known)
+        data = _at(self._cell, self._robot, angles, known)
+        tool = data.site(self._robot.tcp_site)
         rows: list[tuple[str, Any, Any]] = [
             ("sim_time_s", now_s, look.sim_time_s),
             ("joint_position", angles, raw.joint_position),
             ("joint_velocity", state.joint_velocity, raw.joint_velocity),
             (
                 "pose_tcp_in_base",
-                _in_base(data, data.site(PANDA.tcp_site).xpos, data.site(PANDA.tcp_site).xmat),
+                _in_base(data, self._robot, tool.xpos, tool.xmat),
                 raw.pose_tcp_in_base,
             ),
         ]
         for name, view in raw.views.items():
             camera, optics = data.cam(name), intrinsics(self._cameras[name].model_dump())
-            pose = _in_base(data, camera.xpos, camera.xmat.reshape(3, 3) @ CV_FROM_GL)
+            pose = _in_base(data, self._robot, camera.xpos, camera.xmat.reshape(3, 3) @ CV_FROM_GL)
             rows.append((f"cameras.{name}.intrinsics", optics, view.intrinsics))
             rows.append((f"cameras.{name}.pose_camera_in_base", pose, view.pose_camera_in_base))
             for image in IMAGES:
@@ -121,9 +122,9 @@ class _World:
     def _image(self, image: str, camera: str, state: WorldState, angles: F64, known: Calibration) -> npt.NDArray[Any]:
         self.images += 1
         if image == "robot_depth":
-            return self._empty.depth(_at(self._empty.model, angles, known), camera, group=VISUAL_GROUP)
+            return self._empty.depth(_at(self._empty.model, self._robot, angles, known), camera, group=VISUAL_GROUP)
         if image == "cell_depth":
-            return self._empty.depth(_at(self._empty.model, angles, known), camera, group=FURNITURE_GROUP)
+            return self._empty.depth(_at(self._empty.model, self._robot, angles, known), camera, group=FURNITURE_GROUP)
         model = self._whole.model
         data = mujoco.MjData(model)
         mujoco.mj_setState(model, data, state.vector, DRAWN)
@@ -144,10 +145,10 @@ class _World:
         return Pictures(cell_model(self._drawn.protocol, like=self._whole.model), self._cameras)
 
 
-def _at(model: mujoco.MjModel, angles: F64, known: Calibration) -> mujoco.MjData:
+def _at(model: mujoco.MjModel, robot: Robot, angles: F64, known: Calibration) -> mujoco.MjData:
     """Return a state with the robot at these joint angles and every fixed camera where the cell believes it to be."""
     data = mujoco.MjData(model)
-    data.qpos[robot_addresses(model)[0]] = angles
+    data.qpos[robot_addresses(model, robot)[0]] = angles
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
     for name, error in known.items():
@@ -158,11 +159,11 @@ def _at(model: mujoco.MjModel, angles: F64, known: Calibration) -> mujoco.MjData
     return data
 
 
-def _in_base(data: mujoco.MjData, position: F64, rotation: F64) -> F64:
+def _in_base(data: mujoco.MjData, robot: Robot, position: F64, rotation: F64) -> F64:
     """Turn a position (3,) [m] and a rotation matrix (3, 3) or (9,) in the world into a pose (4, 4) in the robot's
     base.
     """
-    base, pose = data.body(PANDA.base_body), np.eye(4)
+    base, pose = data.body(robot.base_body), np.eye(4)
     to_base = base.xmat.reshape(3, 3).T
     pose[:3, :3] = to_base @ rotation.reshape(3, 3)
     pose[:3, 3] = to_base @ (position - base.xpos)

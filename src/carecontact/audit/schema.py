@@ -49,9 +49,8 @@ def audit_schema(trials: list[Watched]) -> Part:
             continue
         messages += len(trial.looks)
         for look in trial.looks:
-            findings += [
-                Finding(policy=trial.policy, place=place, told=told) for place, told in check_message(look.sent, card)
-            ]
+            found = check_message(look.sent, card, joints=trial.joints)
+            findings += [Finding(policy=trial.policy, place=place, told=told) for place, told in found]
     return Part(
         name=NAME, title=TITLE,
         counts={"trials": len(trials), "messages": messages},
@@ -65,8 +64,11 @@ def failed_at(error: str) -> list[str]:
     return ["trial"] if refused is None else [f"{refused[1]}.{key}" for key in refused[2].split(", ")]
 
 
-def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]:
-    """Return pairs of a place and what is wrong there, for one message that asks the policy to act."""
+def check_message(sent: bytes, card: PolicyCard | None, *, joints: int) -> list[tuple[str, str]]:
+    """Return pairs of a place and what is wrong there, for one message that asks the policy to act.
+
+    ``joints``: number of the robot's joints; the wire takes any number of angles.
+    """
     message = unpack(sent)
     if not isinstance(message, dict) or set(message) != MESSAGE:
         keys = sorted(message) if isinstance(message, dict) else type(message).__name__
@@ -78,6 +80,8 @@ def check_message(sent: bytes, card: PolicyCard | None) -> list[tuple[str, str]]
         observation = codec.decode_observation(message["observation"])
     except ContractError as error:
         return [*found, ("observation", str(error))]
+    if (got := len(observation.joint_position)) != joints:
+        found.append(("observation.joint_position", f"expected {joints} numbers, got {got}"))
     if card is None:
         return [*found, ("card", "an observation was sent to a policy that showed no card")]
     cameras = set(card.cameras)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from carecontact.audit.raw_log import WorldState
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Robot
 from carecontact.sim.simulation import Simulation
 
 DRAWN = int(
@@ -23,7 +23,7 @@ class StateReader:
     def __init__(self, simulation: Simulation) -> None:
         self._model, self._data = simulation.model, simulation.data
         self._begin_s = float(self._data.time)
-        self._qpos, self._dof = robot_addresses(self._model)
+        self._qpos, self._dof = robot_addresses(self._model, simulation.robot)
 
     def read(self) -> WorldState:
         vector = np.zeros(mujoco.mj_stateSize(self._model, DRAWN))
@@ -36,7 +36,7 @@ class StateReader:
         )  # fmt: skip
 
 
-def robot_addresses(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Return the addresses of the robot's seven joints in qpos and in qvel."""
-    joints = [model.joint(name) for name in PANDA.joints]
+def robot_addresses(model: mujoco.MjModel, robot: Robot) -> tuple[list[int], list[int]]:
+    """Return the addresses of the robot's joints in qpos and in qvel."""
+    joints = [model.joint(name) for name in robot.joints]
     return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from carecontact.audit.keyframe import CONTROL_HZ
 from carecontact.audit.raw_log import Meta, write_look, write_meta
 from carecontact.audit.state import StateReader
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Baked
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.protocol import Protocol
 from carecontact.contract.trial import TrialSpec
@@ -56,6 +56,8 @@ class Watched:
     policy: str
     """Name of the policy whose card was shown."""
     task_id: str
+    joints: int
+    """Number of the robot's joints."""
     recording: Recording | None = None
     error: str | None = None
     """Why the harness could not run the trial, or why the policy's process failed; None if neither happened."""
@@ -114,7 +116,8 @@ def watch(
 
     ``setup``: how to start or reach the policy; by default, the policy's name in ``spec`` decides.
     """
-    watched = Watched(policy=policy, task_id=spec.task_id, instruction=spec.protocol.task(spec.task_id).prompt)
+    task, robot = spec.protocol.task(spec.task_id), spec.protocol.scene.robot
+    watched = Watched(policy=policy, task_id=task.id, instruction=task.prompt, joints=len(robot.joints))
     readers: list[StateReader] = []
     drawn: list[Protocol] = []
     kept = 0
@@ -155,15 +158,20 @@ def watch(
     card = watched.card
     protocol = like(spec.protocol, drawn[-1]) if drawn else spec.protocol
     if log is not None and watched.looks and card is not None:
-        scene, known = protocol.scene, calibration(spec.protocol, spec.seed, salt=spec.salt)
+        scene, robot, known = (
+            protocol.scene,
+            protocol.scene.robot,
+            calibration(spec.protocol, spec.seed, salt=spec.salt),
+        )
         write_meta(
             log,
             Meta(
                 policy=policy, instruction=watched.instruction, arguments=dict(card.arguments),
                 modalities=card.modalities, cameras=card.cameras,
-                tcp_in_hand_m=(0.0, 0.0, PANDA.tcp_z_m),
+                tcp_in_hand_m=(0.0, 0.0, robot.tcp_z_m),
                 calibration={name: error.tolist() for name, error in known.items()},
                 cell={
+                    "arm": robot.source.name if isinstance(robot.source, Baked) else "",
                     "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,
                     "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},
                 },

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from carecontact.contract.embodiment import ToolName
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -124,8 +123,8 @@ class PhysicsGroup:
     friction: str | None = None
     """Coefficient of friction between tool and skin in place of the tissue's: a number, or dry (0.5), wet (1.0) or
     soapy (0.2); see docs/tissue.md for the sources. Every output names this change."""
-    tool: ToolName | None = None
-    """What the robot's hand wears in place of the protocol's: rigid caps over the fingertips, or a soft wash mitt.
+    tool: str | None = None
+    """What the robot's hand wears in place of the protocol's: rigid `caps` over the fingertips, or a soft wash `mitt`.
     Every output names this change."""
     fast: Switch = False
     """Use physics steps of 4 ms in place of the protocol's. This is faster and less exact: use it for development."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from carecontact.cli.groups import FLAT, RulesGroup, SaltGroup, VisionGroup
-from carecontact.contract.embodiment import ToolName
 
 if TYPE_CHECKING:
     pass
@@ -22,9 +21,9 @@ class Look:
     seed: int = 0
     """Seed of the protocol."""
     rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
-    tool: ToolName | None = None
-    """What the robot's hand wears in place of the protocol's: rigid caps over the fingertips, or a soft wash mitt. The
-    sheet names this change."""
+    tool: str | None = None
+    """What the robot's hand wears in place of the protocol's: rigid `caps` over the fingertips, or a soft wash `mitt`.
+    The sheet names this change."""
     vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
     salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
     out: Path | None = None

@@ -30,6 +30,7 @@ class List:
             "segments",
             "spaces",
             "controls",
+            "robots",
             "policies",
             "protocols",
             "bodies",
@@ -115,6 +116,12 @@ def _controls(protocol: str) -> list[tuple[str, str]]:
     from carecontact.contract.control import CONTROLS
 
     return _rows(CONTROLS, lambda row: row.description)
+
+
+def _robots(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.contract.embodiment import EMBODIMENTS
+
+    return _rows(EMBODIMENTS, lambda row: f"{row.id}, {len(row.joints)} joints: `scene.tool` of a protocol, --tool.")
 
 
 def _policies(protocol: str) -> list[tuple[str, str]]:
@@ -203,6 +210,6 @@ def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str,
 
 KINDS = {
     "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "spaces": _spaces,
-    "controls": _controls, "policies": _policies, "protocols": _protocols, "bodies": _bodies, "tissue": _tissue,
-    "metrics": _metrics, "limits": _limits,
+    "controls": _controls, "robots": _robots, "policies": _policies, "protocols": _protocols, "bodies": _bodies,
+    "tissue": _tissue, "metrics": _metrics, "limits": _limits,
 }  # fmt: skip

@@ -19,22 +19,22 @@ class JointImpedance:
     """
 
     stiffness_nm_rad: tuple[float, ...]
-    """(7,) Kq"""
+    """(joints,) Kq"""
     damping_nms_rad: tuple[float, ...]
-    """(7,) Kqd"""
+    """(joints,) Kqd"""
     cartesian_stiffness: tuple[float, ...] = (0.0,) * 6
     """(6,) Kx: x y z [N/m], then about x y z [N m/rad]"""
     cartesian_damping: tuple[float, ...] = (0.0,) * 6
     """(6,) Kxd [N s/m], [N m s/rad]"""
     torque_limit_nm: tuple[float, ...]
-    """(7,)"""
+    """(joints,)"""
     velocity_limit_rad_s: tuple[float, ...]
-    """(7,) The benchmark stops a trial in which a joint is faster, as the robot would stop."""
+    """(joints,) The benchmark stops a trial in which a joint is faster, as the robot would stop."""
 
     def __post_init__(self) -> None:
         """Raises ConfigError for a wrong count or a negative number."""
         for name, values in vars(self).items():
-            count = 6 if name.startswith("cartesian") else 7
+            count = 6 if name.startswith("cartesian") else len(self.stiffness_nm_rad)
             if len(values) != count or not all(value >= 0 for value in values):
                 raise ConfigError(f"JointImpedance.{name}: expected {count} numbers of at least 0, got {values}")
 

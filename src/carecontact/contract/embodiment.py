@@ -1,11 +1,15 @@
-"""The robot of every trial: the single definition of its names, limits and tool."""
+"""What a robot is to everything else: its names, limits, tool and model; the registry and what is shipped."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import ClassVar
 
-ToolName = Literal["caps", "mitt"]
+from carecontact.registry import Registry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,25 +25,84 @@ class Tip:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Embodiment:
-    """The constants of a robot that the compiled model, the policies and the recordings share."""
+class Baked:
+    """An arm of this package in the format of ``tools/bake_panda.py``: frames, masses and meshes as arrays."""
+
+    name: str
+
+    def file(self, kind: str = "npz") -> Traversable:
+        return resources.files("carecontact") / "assets" / self.name / f"{self.name}.{kind}"
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(self.file().read_bytes()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mjcf:
+    """An arm with its tool as MuJoCo's XML. The tree of ``Robot.base_body`` is taken from it, and nothing else.
+
+    In the compiled model, each name begins with ``PREFIX``; a ``Robot`` has these names.
+    """
+
+    PREFIX: ClassVar[str] = "robot_"
+
+    text: str
+    files: Mapping[str, bytes] = field(default_factory=dict[str, bytes], hash=False)
+    """The meshes and textures that the text names."""
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(repr((self.text, sorted(self.files.items()))).encode()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """Dimensions by which a place of the base is refused before any posture is computed (``episode.parking.grounds``).
+    They hold for a tool that points down."""
+
+    shoulder_height_m: float
+    """Height of the shoulder over the base."""
+    wrist_offset_m: float
+    """Horizontal distance from the wrist out to the tool's axis."""
+    wrist_to_tcp_m: float
+    """Height of the wrist over the tool centre point."""
+    wrist_m: tuple[float, float]
+    """Least and largest distance of the wrist from the shoulder."""
+    moved_wrist_m: tuple[float, float]
+    """The same after the person has moved the arm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """A robot with its tool. The compiled model, the policies and the recordings share it."""
 
     id: str
     """Its name in every recording and in the lock of every protocol."""
+    source: Baked | Mjcf
     joints: tuple[str, ...]
-    """Names in the compiled model, from the base to the tool."""
+    """Names in the compiled model, from the base to the tool; every joint is a hinge."""
     joint_low_rad: tuple[float, ...]
     joint_high_rad: tuple[float, ...]
     base_body: str
     """Body whose frame is the base frame."""
+    flange_body: str
+    """The last body. Its origin is the flange; tool and wrist camera are fixed to it."""
     tcp_site: str
     """Site at the tool centre point; its z axis points out of the tool."""
     tip: Tip
     tcp_z_m: float
-    """Distance of the tool centre point, the tip's outermost point, from the hand's origin along the hand's z axis, out
-    of the tool."""
+    """Distance of the tool centre point, the tip's outermost point, from the flange along its z axis, out of the
+    tool."""
     parked_joint_rad: tuple[float, ...]
     """Posture in which a trial begins unless its protocol gives another."""
+    reach: Reach | None = None
+    """None: no place of this robot's base can be drawn by a seed."""
+    wrist_geoms: tuple[str, ...] = ()
+    """How the names begin of the geoms that the oracle keeps clear of the person."""
+    hand_boxes_m: tuple[tuple[tuple[float, float, float], float], ...] = ()
+    """Half sides, in the flange's axes, of boxes round fingers, hand and last links, and how far their middles are
+    behind the tool centre point: what may hide a contact from a camera."""
 
     @property
     def tool_radius_m(self) -> float:
@@ -48,20 +111,43 @@ class Embodiment:
 
     @property
     def tip_centre_z_m(self) -> float:
-        """Place of the tip's middle along the hand's z axis."""
+        """Place of the tip's middle along the flange's z axis."""
         return self.tcp_z_m - self.tip.half_m[2]
 
 
-PANDA = Embodiment(
+EMBODIMENTS: Registry[Robot] = Registry("robot", row=Robot)
+"""``scene.tool`` of a protocol -> the robot that has this tool."""
+
+
+def robot_of(embodiment: str) -> Robot | None:
+    """Return the robot that recordings name by an id; None for one that is not installed here."""
+    return next((robot for robot in EMBODIMENTS.usable().values() if robot.id == embodiment), None)
+
+
+PANDA = Robot(
     id="panda-closed-gripper-caps",
+    source=Baked(name="panda"),
     joints=tuple(f"robot_joint{number}" for number in range(1, 8)),
     joint_low_rad=(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
     joint_high_rad=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
     base_body="robot_base",
+    flange_body="robot_hand",
     tcp_site="tcp",
     tip=Tip(geom="robot_tool_cap", half_m=(0.012, 0.019, 0.012)),
     tcp_z_m=0.117,
     parked_joint_rad=(0.5324, -0.3907, 0.3589, -1.8387, 0.1348, 1.4716, 1.1415),
+    # Lengths from the data sheet, as in policies.state_machine.fixed_values. The second range is the state machine's
+    # comfortable one; the first is narrower, because what a policy sees is off by some millimetres.
+    reach=Reach(
+        shoulder_height_m=0.333,
+        wrist_offset_m=0.088,
+        wrist_to_tcp_m=0.107 + 0.117,
+        wrist_m=(0.30, 0.695),
+        moved_wrist_m=(0.26, 0.712),
+    ),
+    wrist_geoms=tuple(f"robot_collision_{link}_" for link in ("hand", "link7", "link6", "link5")),
+    # Measured on the meshes.
+    hand_boxes_m=(((0.011, 0.026, 0.022), 0.036), ((0.032, 0.102, 0.041), 0.092), ((0.045, 0.060, 0.090), 0.210)),
 )
 """Franka Emika Panda; joint limits as in the franka description package, from which the arm's meshes come too. The
 hand is permanently closed: a cap covers the fingertips. The cap is an ellipsoid, because an ellipsoid has
@@ -86,5 +172,5 @@ PANDA_MITT = replace(
 three fingers, and 28 mm thick, so that pile and foam lie over a stiff core. It is an ellipsoid like the cap and no box:
 skin that sinks into a soft box farther than its rims are round would be pressed against the walls."""
 
-EMBODIMENTS: dict[ToolName, Embodiment] = {"caps": PANDA, "mitt": PANDA_MITT}
-"""``scene.tool`` of a protocol -> the robot."""
+EMBODIMENTS.register("caps", PANDA)
+EMBODIMENTS.register("mitt", PANDA_MITT)

@@ -49,9 +49,9 @@ class Observation:
     sim_time_s: float
     """Since t = 0, the moment of reset."""
     joint_position: F64
-    """(7,) robot encoders [rad]"""
+    """(joints,) robot encoders [rad]"""
     joint_velocity: F64
-    """(7,) [rad/s]"""
+    """(joints,) [rad/s]"""
     gripper_position: F64
     """(1,) opening in [0, 1]; the closed-gripper embodiment always reads 0"""
     pose_tcp_in_base: F64

@@ -22,9 +22,9 @@ class Session:
 
     action_bounds: ActionBounds
     joint_low_rad: tuple[float, ...]
-    """(7,) lower joint limits of the robot"""
+    """(joints,) lower joint limits of the robot"""
     joint_high_rad: tuple[float, ...]
-    """(7,)"""
+    """(joints,)"""
     camera_sizes_px: dict[str, tuple[int, int]]
     """Camera -> (width, height) [px], for every camera of the scene, whether the card requests it or not."""
     time_limit_s: float

@@ -24,7 +24,6 @@ import numpy as np
 
 from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
 from carecontact.contract.control import CONTROLS
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.observation import Observation
 from carecontact.contract.policy import PolicyCard
 from carecontact.contract.session import Session
@@ -171,8 +170,8 @@ class Episode:
         """What a policy learns before its first observation: limits and cameras."""
         return Session(
             action_bounds=self.protocol.impedance.action_bounds,
-            joint_low_rad=PANDA.joint_low_rad,
-            joint_high_rad=PANDA.joint_high_rad,
+            joint_low_rad=self.simulation.robot.joint_low_rad,
+            joint_high_rad=self.simulation.robot.joint_high_rad,
             camera_sizes_px={name: (c.width, c.height) for name, c in self.protocol.cameras.items()},
             time_limit_s=self.protocol.phases.time_limit_s,
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.drawn import drawn_facts
 from carecontact.episode.ended import Ended
@@ -12,7 +11,6 @@ from carecontact.kernel.found import sha256 as kernel_sha256
 from carecontact.recording.schema import SEGMENTS, Header
 from carecontact.recording.versions import DECLARED, trial_versions
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.world.robot import panda_sha256
 
 
 def header_of(
@@ -41,7 +39,7 @@ def header_of(
         card=card,
         control=control,
         privileged=privileged,
-        embodiment=EMBODIMENTS[spec.protocol.scene.tool].id,
+        embodiment=simulation.robot.id,
         comfort_arm_deg=settled.comfort_arm_deg,
         segments=list(SEGMENTS),
         regions=list(spec.protocol.regions),
@@ -52,7 +50,7 @@ def header_of(
         sha256={
             "model": model_sha256,
             "body": simulation.scene.body.sha256,
-            "robot": panda_sha256(),
+            "robot": simulation.robot.source.sha256,
             "kernel": kernel_sha256(),
         },
         solver_warnings=warnings,

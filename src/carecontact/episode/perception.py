@@ -37,7 +37,7 @@ class PerceptionLog:
     """
 
     def __init__(self, model: mujoco.MjModel, renderer: SceneRenderer) -> None:
-        self._model, self._renderer, self._robot = model, renderer, Proprioception(model)
+        self._model, self._renderer, self._robot = model, renderer, Proprioception(model, renderer.protocol.scene.robot)
         self._rows: list[dict[str, Any]] = []
         self._seen = 0
 

@@ -15,7 +15,6 @@ from carecontact.recording.schema import Recording
 F32 = npt.NDArray[np.float32]
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Names of a pose: position [m] and quaternion."""
-JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +101,9 @@ def _action(recording: Recording) -> Stream:
     """Return the target of each action; where an action kept the last target, that one, and before any the tool's own
     pose."""
     if "actions/joint" in recording.arrays:
-        return Stream(names=JOINTS, values=_filled(recording["actions/joint"], np.zeros(7)))
+        joint = recording["actions/joint"]
+        names = tuple(f"joint{k + 1}" for k in range(joint.shape[1]))
+        return Stream(names=names, values=_filled(joint, np.zeros(len(names))))
     return Stream(names=POSE, values=_filled(recording["actions/pose_tcp_in_base"], _tool(recording)[0]))
 
 

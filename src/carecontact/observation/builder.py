@@ -234,7 +234,7 @@ class ObservationBuilder:
         )
 
     def raw_view(self, data: mujoco.MjData, camera: str, *, angles: F64, sim_time_s: float) -> RawView:
-        """``angles``: (7,) [rad] as the encoders give them."""
+        """``angles``: (joints,) [rad] as the encoders give them."""
         renderer, images = self._renderer, self._images
         intrinsics, depth = renderer.intrinsics(camera), None
         # Where calibration and encoders have the camera, and not where it is.

@@ -69,7 +69,7 @@ class SensorNoise:
         return structured_light(depth, intrinsics, self._rng(sim_time_s, 1 + CAMERAS.index(camera)))
 
     def joint_position(self, joint_position: F64, *, sim_time_s: float) -> F64:
-        """(7,) [rad]"""
+        """(joints,) [rad]"""
         if not self.on_encoders:
             return joint_position
         noise = self._rng(sim_time_s, 0).standard_normal(joint_position.shape)

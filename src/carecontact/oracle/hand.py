@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
 from carecontact.oracle.truth import copy_of_robot
 from carecontact.policies.motion import UP, slerp, tool_quat
@@ -31,7 +30,6 @@ STEPS = (14, 5)
 ITERATIONS = 3
 POSTURE_GAIN = 0.1
 """Share by which each iteration returns to the parked posture in the null space, as the robot's impedance does."""
-LINKS = ("hand", "link7", "link6", "link5")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,12 +64,12 @@ def hold(simulation: Simulation, region: str, places: F64) -> Held:
 
 def _ways(simulation: Simulation, place: F64) -> Iterator[F64]:
     """Yield orientations (4,) of the tool that point down or lean away from the trunk, the shoulder or the bed."""
-    data, robot = simulation.data, simulation.robot
+    data, encoders = simulation.data, simulation.encoders
 
     def from_body(name: str) -> F64:
-        return place - robot.in_base(data, data.body(body_name(name)).xpos, np.eye(3))[:3, 3]
+        return place - encoders.in_base(data, data.body(body_name(name)).xpos, np.eye(3))[:3, 3]
 
-    sideways = robot.in_base(data, [0, 1, 0], np.eye(3))[:3, 3] - robot.in_base(data, [0, 0, 0], np.eye(3))[:3, 3]
+    sideways = encoders.in_base(data, [0, 1, 0], np.eye(3))[:3, 3] - encoders.in_base(data, [0, 0, 0], np.eye(3))[:3, 3]
     aways = [way * [1, 1, 0] for way in (from_body("thorax"), from_body("right_upper_arm"), sideways)]
     radial = np.arctan2(place[1], place[0])
     ways = [(tilt, k, yaw) for tilt in TILTS_RAD for k in range(len(aways)) for yaw in YAWS_DEG if tilt or k == 0]
@@ -86,15 +84,14 @@ class _Arm:
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         model = self._model = simulation.model
-        self._robot, self._data = simulation.robot, copy_of_robot(simulation)
-        self._tcp = model.site(PANDA.tcp_site).id
-        joints = [model.joint(name) for name in PANDA.joints]
+        self._encoders, self._data = simulation.encoders, copy_of_robot(simulation)
+        self._tcp = model.site(simulation.robot.tcp_site).id
+        joints = [model.joint(name) for name in simulation.robot.joints]
         self._dofs = [joint.dofadr[0] for joint in joints]
         self._range = np.array([joint.range for joint in joints])
         self._parked = np.array(simulation.protocol.scene.parked_joint_rad)
         names = [model.geom(g).name for g in range(model.ngeom)]
-        links = tuple(f"robot_collision_{link}_" for link in LINKS)
-        self._hand = [g for g, name in enumerate(names) if name.startswith(links)]
+        self._hand = [g for g, name in enumerate(names) if name.startswith(simulation.robot.wrist_geoms)]
         self._person = [
             g for g, name in enumerate(names)
             if name.startswith("human_hull_") or (name.startswith("human_core_") and f"_{region}_" not in name)
@@ -102,11 +99,11 @@ class _Arm:
 
     def tried(self, quat: F64, places: F64) -> Held:
         """``places``: (n, 3) of the tool centre point in base."""
-        self._robot.set_joint_position(self._data, self._parked)
+        self._encoders.set_joint_position(self._data, self._parked)
         mujoco.mj_kinematics(self._model, self._data)
         reached, clear = True, CLEAR_M
         for number, place in enumerate(places):
-            pose = self._robot.pose_tcp_in_base(self._data)
+            pose = self._encoders.pose_tcp_in_base(self._data)
             first, last = pose[:3, 3].copy(), quat_from_matrix(pose[:3, :3])
             steps = STEPS[min(number, 1)]
             for k in range(1, steps + 1):
@@ -123,18 +120,18 @@ class _Arm:
             mujoco.mj_comPos(model, data)
             mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], self._tcp)
             own = jacobian[:, self._dofs]
-            base = self._robot.in_base(data, np.zeros(3), np.eye(3))[:3, :3]
+            base = self._encoders.in_base(data, np.zeros(3), np.eye(3))[:3, :3]
             own = np.vstack([base @ own[:3], base @ own[3:]])
-            angles = self._robot.joint_position(data)
+            angles = self._encoders.joint_position(data)
             back = POSTURE_GAIN * (self._parked - angles)
             inverse = own.T @ np.linalg.inv(own @ own.T + 1e-6 * np.eye(6))
             angles = angles + inverse @ (self._difference(position, rotation) - own @ back) + back
-            self._robot.set_joint_position(data, np.clip(angles, *self._range.T))
+            self._encoders.set_joint_position(data, np.clip(angles, *self._range.T))
             mujoco.mj_kinematics(model, data)
 
     def _difference(self, position: F64, rotation: F64) -> F64:
         """(6,) from the tool's pose to the wanted one: position [m], small rotation [rad]."""
-        pose = self._robot.pose_tcp_in_base(self._data)
+        pose = self._encoders.pose_tcp_in_base(self._data)
         turn = 0.5 * np.cross(pose[:3, :3], rotation, axis=0).sum(1)
         return np.concatenate([position - pose[:3, 3], turn])
 
@@ -142,7 +139,7 @@ class _Arm:
         return float(np.linalg.norm(self._difference(position, rotation)))
 
     def _margin(self) -> float:
-        angles = self._robot.joint_position(self._data)
+        angles = self._encoders.joint_position(self._data)
         return float(np.minimum(angles - self._range[:, 0], self._range[:, 1] - angles).min())
 
     def _clearance(self, enough: float) -> float:

@@ -39,7 +39,7 @@ class Truth:
     def frame(self) -> F64:
         """(4, 4) pose of the region's frame, which moves with the bone and with breathing."""
         site = self.simulation.data.site(f"region_{self.region}")
-        return self.simulation.robot.in_base(self.simulation.data, site.xpos, site.xmat)
+        return self.simulation.encoders.in_base(self.simulation.data, site.xpos, site.xmat)
 
     def wrist(self) -> F64:
         """(3,) place of the right wrist."""
@@ -53,7 +53,7 @@ class Truth:
         period = self.simulation.history.samples
         rigid = self.simulation.history.last(self.simulation.data, period)[1][:, self._net][:, :3]
         soft = self._tissue.last(self.simulation.data, period)["force_n"]
-        to_base = self.simulation.robot.in_base(self.simulation.data, np.zeros(3), np.eye(3))
+        to_base = self.simulation.encoders.in_base(self.simulation.data, np.zeros(3), np.eye(3))
         return to_base[:3, :3] @ (rigid + soft).mean(0)
 
     def force_n(self) -> float:
@@ -114,7 +114,7 @@ class Truth:
         return ends[0], ends[1]
 
     def _in_base(self, points: F64) -> F64:
-        to_base = self.simulation.robot.in_base(self.simulation.data, np.zeros(3), np.eye(3))
+        to_base = self.simulation.encoders.in_base(self.simulation.data, np.zeros(3), np.eye(3))
         return points @ to_base[:3, :3].T + to_base[:3, 3]
 
 

@@ -70,7 +70,7 @@ ARRAYS: dict[str, tuple[str, str]] = {
 """Required arrays: dtype and meaning."""
 
 OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
-    "actions/joint": ("f8", "(M, 7) joint positions [rad] or velocities, as the card's action space has them"),
+    "actions/joint": ("f8", "(M, Q) joint positions [rad] or velocities, as the card's action space has them"),
     "actions/axis_stiffness": ("f8", "(M, 6) in force, per axis of the target: x y z [N/m], about x y z [N m/rad]"),
     "actions/clipped": ("u1", "(M,) 1 where a target outside the workspace was moved onto its border"),
     "actions/damping_ratio": ("f8", "(M,) in force"),
@@ -285,6 +285,7 @@ def check_recording(header: Header, arrays: Mapping[str, npt.NDArray[Any]], plac
         "R": (len(header.regions), "header.regions"),
         "J": (len(header.human_joints), "header.human_joints"),
         "V": (len(CAMERAS), "contract.policy.CAMERAS"),
+        "Q": (len(header.spec.protocol.scene.parked_joint_rad), "scene.parked_joint_rad"),
     }
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in arrays}
     for path, (dtype, _) in described.items():

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from importlib import metadata
 
 from carecontact import __version__
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.contract.protocol import BEHAVIOURS, Protocol
 from carecontact.regions import REGIONS
 
@@ -28,9 +29,9 @@ def trial_versions(protocol: Protocol) -> dict[str, str]:
 
 
 def supplier_versions(protocol: Protocol) -> dict[str, str]:
-    """Return the versions of the other packages that supply actions and regions of the protocol's tasks."""
+    """Return the versions of the other packages that supply the robot, and actions and regions of the tasks."""
     suppliers = {BEHAVIOURS.package(task.action) for task in protocol.tasks}
-    suppliers |= {REGIONS.package(task.region) for task in protocol.tasks}
+    suppliers |= {REGIONS.package(task.region) for task in protocol.tasks} | {EMBODIMENTS.package(protocol.scene.tool)}
     return versions_of(suppliers)
 
 

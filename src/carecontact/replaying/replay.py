@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.policy import PolicyCard
 from carecontact.episode.drivers import driver_of
 from carecontact.episode.prepare import settled_world, under_control
@@ -106,7 +105,7 @@ class Replay:
             sizes = f"its states have {self.stored.shape[1]} numbers, this world's {size}"
             raise RecordingError(_foreign(header, sizes))
         self._probe = mujoco.MjData(self.model)
-        self._tcp = self.model.site(PANDA.tcp_site).id
+        self._tcp = self.model.site(self.scene.robot.tcp_site).id
         self._stored_steps = self._steps(recording["state/time_s"])
 
     def _steps(self, time_s: npt.NDArray[Any]) -> npt.NDArray[np.int64]:

@@ -10,7 +10,7 @@ from importlib import resources
 
 import numpy as np
 
-from carecontact.contract.embodiment import EMBODIMENTS
+from carecontact.contract.embodiment import Baked
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError
 from carecontact.kernel.binary import sources_sha256
@@ -35,7 +35,7 @@ def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile the worlds of ``worlds_of`` and sum over each; about a second for each."""
     return Lock(
         id=protocol.name, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
-        embodiment=EMBODIMENTS[protocol.scene.tool].id,
+        embodiment=protocol.scene.robot.id,
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
         worlds={name: world_sums(*world) for name, world in (worlds_of(protocol) if worlds else {}).items()},
@@ -48,12 +48,17 @@ def asset_hashes(protocol: Protocol) -> dict[str, str]:
     folder = resources.files("carecontact") / "assets"
     bodies = protocol.variation.bodies or (protocol.person.body,)
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
-    places.append(("panda", "panda.npz"))
-    return {"kernel/c": sources_sha256()} | {
-        f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
-        for place, name in places
-        if (file := folder / place / name).is_file()
-    }
+    robot = protocol.scene.robot
+    own = f"{robot.source.name}/{robot.source.name}.npz" if isinstance(robot.source, Baked) else robot.id
+    return (
+        {"kernel/c": sources_sha256()}
+        | {
+            f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
+            for place, name in places
+            if (file := folder / place / name).is_file()
+        }
+        | {own: robot.source.sha256}
+    )
 
 
 def worlds_of(protocol: Protocol) -> dict[str, tuple[Protocol, str]]:

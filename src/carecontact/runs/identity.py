@@ -78,7 +78,7 @@ def identity_of(
     archives = {
         what: smplx_path(name) if name.startswith(SMPLX_PREFIX) else assets / "bodies" / f"{name}.npz"
         for what, name in named.items()
-    } | {"robot": assets / "panda" / "panda.npz"}
+    }
     return Identity(
         policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
         card=card.plain() if card is not None and ref.kind == "remote" else None,
@@ -89,7 +89,8 @@ def identity_of(
         versions={name: versions[name] for name in ("carecontact", "mujoco")}
         | supplier_versions(spec.protocol)
         | policy_package(ref),
-        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()},
+        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()}
+        | {"robot": spec.protocol.scene.robot.source.sha256},
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.scoring.behaviour import behaviour_of
@@ -25,7 +24,8 @@ def check_protocol(protocol: Protocol) -> None:
     if protocol.limits.pack not in LIMIT_PACKS:
         # Its name is written beside every score, where it says whose limits they are.
         faults.append(f"limits.pack: {UnknownNameError(LIMIT_PACKS.kind, protocol.limits.pack, LIMIT_PACKS)}")
-    limits = zip(PANDA.joint_low_rad, PANDA.joint_high_rad, strict=True)
+    robot = protocol.scene.robot
+    limits = zip(robot.joint_low_rad, robot.joint_high_rad, strict=True)
     for joint, (angle, (low, high)) in enumerate(zip(protocol.scene.parked_joint_rad, limits, strict=True), start=1):
         if not low <= angle <= high:
             faults.append(

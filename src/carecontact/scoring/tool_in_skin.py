@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carecontact.contract.embodiment import EMBODIMENTS
+from carecontact.contract.embodiment import robot_of
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.rays import Triangles
 from carecontact.recording.schema import Recording
@@ -32,11 +32,10 @@ def skin_in_tool(recording: Recording) -> float | None:
     None if the recording does not have the dented skin, is of a robot that this release does not have, or if no skin of
     the region lies on the tool's axis.
     """
-    tips = {row.id: row.tip for row in EMBODIMENTS.values()}
-    tip = tips.get(recording.header.embodiment)
-    if tip is None or any(name not in recording for name in NEEDED) or not len(recording["scorer/time_s"]):
+    robot = robot_of(recording.header.embodiment)
+    if robot is None or any(name not in recording for name in NEEDED) or not len(recording["scorer/time_s"]):
         return None
-    at = int(np.searchsorted(recording["scorer/time_s"], float(recording["report/peak_time_s"][0])))
+    tip, at = robot.tip, int(np.searchsorted(recording["scorer/time_s"], float(recording["report/peak_time_s"][0])))
     pose = recording["scorer/pose_tcp_in_world"][min(at, len(recording["scorer/time_s"]) - 1)].astype(np.float64)
     out = matrix_from_quat(pose[3:])[:, 2]
     middle = pose[:3] - tip.half_m[2] * out

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA, Tip
+from carecontact.contract.embodiment import EMBODIMENTS, Tip
 from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
 from carecontact.kernel.readings import Readings
@@ -47,7 +47,7 @@ class Indenter:
 
     shape: Shape
     size_m: float | None = None
-    tip: Tip = PANDA.tip
+    tip: Tip = EMBODIMENTS["caps"].tip
     """Gives the cap its size and its compliance."""
 
     def __post_init__(self) -> None:

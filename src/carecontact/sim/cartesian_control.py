@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.protocol import Protocol
 from carecontact.sim.impedance import (
@@ -29,11 +28,11 @@ class CartesianControl:
     """Commands the six springs of ``world.robot``; ``refresh`` is called once in every target period."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, protocol: Protocol) -> None:
-        self._model, self._data, self._protocol = model, data, protocol
-        self._posture = Posture(model, np.array(protocol.scene.parked_joint_rad))
+        self._model, self._data, self._protocol, self._robot = model, data, protocol, protocol.scene.robot
+        self._posture = Posture(model, self._robot, np.array(protocol.scene.parked_joint_rad))
         first = model.actuator("impedance_0").id
         self._rows = slice(first, first + 6)
-        self._tcp = model.site(PANDA.tcp_site).id
+        self._tcp = model.site(self._robot.tcp_site).id
         self._mocap = int(model.body_mocapid[model.body("tcp_target").id])
         self._interpolator = TargetInterpolator(protocol.physics)
         physics = protocol.physics
@@ -54,13 +53,13 @@ class CartesianControl:
 
     def park(self) -> None:
         """Put the target on the tool, whose kinematics have to be current."""
-        pose = tcp_pose_in_base(self._model, self._data)
+        pose = tcp_pose_in_base(self._model, self._data, self._robot)
         self._interpolator.reset(pose)
-        write_target(self._model, self._data, pose)
+        write_target(self._model, self._data, self._robot, pose)
 
     def resume(self) -> None:
         """Continue from a restored state, with the target where this state has it."""
-        self._interpolator.reset(target_in_base(self._model, self._data))
+        self._interpolator.reset(target_in_base(self._model, self._data, self._robot))
 
     def set_goal(self, pose_in_base: F64 | None, period_s: float) -> None:
         """See ``TargetInterpolator.set_goal``."""
@@ -74,7 +73,7 @@ class CartesianControl:
 
     def refresh(self) -> None:
         """Advance the target by one target period, and command the posture and the feedforward for that period."""
-        write_target(self._model, self._data, self._interpolator.advance())
+        write_target(self._model, self._data, self._robot, self._interpolator.advance())
         self._data.qfrc_applied[self._posture.dofs] = self._posture.torque(self._data)
         # The springs act along the target's axes; the tool's differ from them by what the tool lags behind.
         turn = matrix_from_quat(self._data.mocap_quat[self._mocap]).T @ self._data.site_xmat[self._tcp].reshape(3, 3)

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.geometry import quat_from_matrix
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS
@@ -46,7 +45,7 @@ def render_close_up(
     Args:
         shift: (V, 3) of the skin's vertices in this state (``skin_shift``) [m].
     """
-    look_at = data.site(PANDA.tcp_site).xpos + [0, 0, ABOVE_TIP_M]
+    look_at = data.site(scene.robot.tcp_site).xpos + [0, 0, ABOVE_TIP_M]
     azimuth_deg = REGIONS[region].close_up_azimuth_deg
     image = renderer.free_view(
         data, look_at=look_at, distance_m=DISTANCE_M, azimuth_deg=azimuth_deg, elevation_deg=ELEVATION_DEG,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Robot
 from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
 from carecontact.contract.protocol import Physics, Protocol
 from carecontact.world.robot import damping_of
@@ -47,9 +47,9 @@ def set_gains(model: mujoco.MjModel, stiffness: Array, damping_ratio: float, pro
         model.actuator_biasprm[row, 1:3] = [-value, -damping]
 
 
-def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array) -> None:
+def write_target(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, pose_in_base: Array) -> None:
     """Put the mocap target at a TCP pose (7,) in the robot's base frame."""
-    base = model.body(PANDA.base_body).id
+    base = model.body(robot.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
     mujoco.mju_mulPose(
         data.mocap_pos[mocap], data.mocap_quat[mocap], model.body_pos[base], model.body_quat[base], pose_in_base[:3],
@@ -57,9 +57,9 @@ def write_target(model: mujoco.MjModel, data: mujoco.MjData, pose_in_base: Array
     )  # fmt: skip
 
 
-def target_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+def target_in_base(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> Array:
     """(7,) where the mocap target is; the inverse of ``write_target``."""
-    base = model.body(PANDA.base_body).id
+    base = model.body(robot.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
     rotation = matrix_from_quat(model.body_quat[base])
     inverse, quat = np.zeros(4), np.zeros(4)
@@ -68,11 +68,11 @@ def target_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     return np.concatenate([rotation.T @ (data.mocap_pos[mocap] - model.body_pos[base]), quat])
 
 
-def tcp_pose_in_base(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+def tcp_pose_in_base(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> Array:
     """(7,) position [m], quat_wxyz with w >= 0. Needs current kinematics (after mj_forward or mj_step)."""
-    base = model.body(PANDA.base_body).id
+    base = model.body(robot.base_body).id
     rotation = matrix_from_quat(model.body_quat[base])
-    site = data.site(PANDA.tcp_site)
+    site = data.site(robot.tcp_site)
     position = rotation.T @ (site.xpos - model.body_pos[base])
     return np.concatenate([position, quat_from_matrix(rotation.T @ site.xmat.reshape(3, 3))])
 
@@ -167,19 +167,19 @@ def _period_steps(period: Fraction) -> Iterator[int]:
 class Posture:
     """Pulls the robot's arm toward a posture in the null space, without accelerating the TCP."""
 
-    def __init__(self, model: mujoco.MjModel, posture: Array) -> None:
-        """``posture``: (7,) [rad]."""
-        first, count = model.joint(PANDA.joints[0]), len(PANDA.joints)
+    def __init__(self, model: mujoco.MjModel, robot: Robot, posture: Array) -> None:
+        """``posture``: (joints,) [rad]."""
+        first, count = model.joint(robot.joints[0]), len(robot.joints)
         self._model, self._posture = model, posture
         self.dofs = slice(int(first.dofadr[0]), int(first.dofadr[0]) + count)
         """Of the robot's joints."""
         self._joints = slice(int(first.qposadr[0]), int(first.qposadr[0]) + count)
-        self._tcp = model.site(PANDA.tcp_site).id
+        self._tcp = model.site(robot.tcp_site).id
         self._jacobian, self._mobility = np.zeros((6, model.nv)), np.zeros((6, model.nv))
         self._wrench = np.zeros(6)
 
     def torque(self, data: mujoco.MjData) -> Array:
-        """(7,) joint torque.
+        """(joints,) joint torque.
 
         The projection is dynamically consistent (Khatib 1987): 1 - J^T (J M^-1 J^T)^-1 J M^-1. Evaluate once a target
         period and write it to ``qfrc_applied`` at ``dofs``. Needs a current mass matrix (after mj_forward).

@@ -7,10 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.contract.control import JointImpedance
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.sim.impedance import tcp_pose_in_base
-from carecontact.world.joint_impedance import AXES, FLANGE_BODY, servo, tendon
+from carecontact.world.joint_impedance import AXES, servo, tendon
 from carecontact.world.robot import add_robot
 
 F64 = npt.NDArray[np.float64]
@@ -24,8 +23,8 @@ class JointControl:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, protocol: Protocol, law: JointImpedance) -> None:
-        self._model, self._data = model, data
-        joints = [model.joint(name) for name in PANDA.joints]
+        self._model, self._data, self._robot = model, data, protocol.scene.robot
+        joints = [model.joint(name) for name in self._robot.joints]
         self._qpos, self._dof = (np.array([getattr(j, at)[0] for j in joints]) for at in ("qposadr", "dofadr"))
         self._servos = np.array([model.actuator(servo(number)).id for number in range(len(joints))])
         self._tendons = np.array([model.actuator(tendon(axis)).id for axis in range(AXES)])
@@ -33,7 +32,7 @@ class JointControl:
         self._coefficients = first[:, None] + np.arange(len(joints))
         self._arm = _arm_alone(protocol)
         self._now, self._then = mujoco.MjData(self._arm), mujoco.MjData(self._arm)
-        self._flange = self._arm.body(FLANGE_BODY).id
+        self._flange = self._arm.body(self._robot.flange_body).id
         self._limit_rad_s = np.array(law.velocity_limit_rad_s)
         self._target = np.zeros(len(joints))
         self.fastest: tuple[int, float] | None = None
@@ -41,7 +40,7 @@ class JointControl:
 
     @property
     def joint_position(self) -> F64:
-        """(7,) measured [rad]"""
+        """(joints,) measured [rad]"""
         return self._data.qpos[self._qpos].copy()
 
     @property
@@ -49,10 +48,10 @@ class JointControl:
         """(7,) pose that the tool would have at the target angles."""
         self._then.qpos[:] = self._target
         mujoco.mj_kinematics(self._arm, self._then)
-        return tcp_pose_in_base(self._arm, self._then)
+        return tcp_pose_in_base(self._arm, self._then, self._robot)
 
     def set_target(self, joint_position: F64) -> None:
-        """``joint_position``: (7,) [rad]; it holds from the next refresh on."""
+        """``joint_position``: (joints,) [rad]; it holds from the next refresh on."""
         self._target = np.array(joint_position, np.float64)
 
     def park(self) -> None:

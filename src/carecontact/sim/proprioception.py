@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Robot
 
 F64 = npt.NDArray[np.float64]
 
@@ -14,27 +14,27 @@ F64 = npt.NDArray[np.float64]
 class Proprioception:
     """Reads joint encoders and poses in the base frame. No torque, no force."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        joints = [model.joint(name) for name in PANDA.joints]
+    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+        joints = [model.joint(name) for name in robot.joints]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dof = np.array([joint.dofadr[0] for joint in joints])
-        self._base = model.body(PANDA.base_body).id
-        self._tcp = model.site(PANDA.tcp_site).id
+        self._base = model.body(robot.base_body).id
+        self._tcp = model.site(robot.tcp_site).id
 
     def joint_position(self, data: mujoco.MjData) -> F64:
-        """(7,) [rad]"""
+        """(joints,) [rad]"""
         return data.qpos[self._qpos].copy()
 
     def joint_velocity(self, data: mujoco.MjData) -> F64:
-        """(7,) [rad/s]"""
+        """(joints,) [rad/s]"""
         return data.qvel[self._dof].copy()
 
     def set_joint_position(self, data: mujoco.MjData, joint_position: npt.ArrayLike) -> None:
-        """Set the robot's joints (7,) [rad], in a copy of the state that shows the robot alone. Raises ValueError for
-        another shape."""
+        """Set the robot's joints [rad] in a copy of the state that shows the robot alone. Raises ValueError for another
+        shape than (joints,)."""
         angles = np.asarray(joint_position, np.float64)
-        if angles.shape != (len(PANDA.joints),):
-            raise ValueError(f"joint_position: expected 7 angles [rad], got shape {angles.shape}")
+        if angles.shape != self._qpos.shape:
+            raise ValueError(f"joint_position: expected {len(self._qpos)} angles [rad], got shape {angles.shape}")
         data.qpos[self._qpos] = angles
 
     def in_base(self, data: mujoco.MjData, position: npt.ArrayLike, rotation: npt.ArrayLike) -> F64:

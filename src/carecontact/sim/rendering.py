@@ -58,7 +58,7 @@ class SceneRenderer:
     ) -> None:
         """``calibration``: camera -> (4, 4) error in its frame of where the cell believes it to be; none by default."""
         self._model, self.protocol, self.calibration = model, protocol, dict(calibration or {})
-        self.proprioception = Proprioception(model)
+        self.proprioception = Proprioception(model, protocol.scene.robot)
         self._cameras: dict[str, Camera] = {str(name): camera for name, camera in protocol.cameras.items()}
         self._context: Any = None
         self._mjr: mujoco.MjrContext | None = None
@@ -116,7 +116,7 @@ class SceneRenderer:
         return view
 
     def robot_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
-        """(H, W) depth [m] of the robot alone at the given encoder angles (7,) [rad]; NaN where no robot is.
+        """(H, W) depth [m] of the robot alone at the given encoder angles [rad]; NaN where no robot is.
 
         A real cell can compute it too: it knows its robot's shape, its encoders and its calibration.
         """
@@ -127,7 +127,7 @@ class SceneRenderer:
         """(H, W) depth [m] of bed, pillow, arm board and room without person and robot; NaN beyond DEPTH_RANGE_M.
 
         What a real cell's map of itself, made before anyone lay down, pillow and board in their places, shows from
-        where the cell believes the camera to be; for a camera on the hand, at the encoder angles (7,) [rad]. A camera
+        where the cell believes the camera to be; for a camera on the hand, at the encoder angles [rad]. A camera
         that stands is rendered once.
         """
         if camera in self._empty_cell:
@@ -152,7 +152,7 @@ class SceneRenderer:
         return TrueView(human=np.isin(label, mine), depth=self._metres(buffer))
 
     def at_encoders(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
-        """The world as encoders (7,) [rad] and calibration know it, without the person; valid until the next call."""
+        """The world as encoders [rad] and calibration know it, without the person; valid until the next call."""
         if self._calibrated is None:
             self._calibrated = mujoco.MjData(self._model)
         data: mujoco.MjData = self._calibrated

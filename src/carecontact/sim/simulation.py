@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError, SettleError
 from carecontact.kernel.life import Life
@@ -90,16 +89,16 @@ class Simulation:
     """One world. After ``start``, times are seconds since t = 0."""
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.model, self.protocol = scene, scene.model, scene.protocol
+        self.scene, self.model, self.protocol, self.robot = scene, scene.model, scene.protocol, scene.robot
         self.data = mujoco.MjData(self.model)
         self.history = SensorHistory(self.model)
-        self.robot = Proprioception(self.model)
+        self.encoders = Proprioception(self.model, self.robot)
         self.joint_names = [hinge.name for hinge in scene.hinges]
         joints = [self.model.joint(f"human_{name}") for name in self.joint_names]
         self._human_qpos = np.array([j.qposadr[0] for j in joints])
         self.joint_range = np.radians([hinge.range_deg for hinge in scene.hinges])
         self._human_bodies = [b for b in range(self.model.nbody) if self.model.body(b).name.startswith("human_")]
-        self._base = self.model.body(PANDA.base_body)
+        self._base = self.model.body(self.robot.base_body)
         self.tissue = {name: Readings(self.model, name) for name in scene.regions}
         """What each soft region feels."""
         self._rings = Rings(list(self.tissue.values()))
@@ -181,7 +180,7 @@ class Simulation:
 
     def park(self) -> None:
         """Put the robot at its parked joints and the target on its TCP."""
-        self.robot.set_joint_position(self.data, self.protocol.scene.parked_joint_rad)
+        self.encoders.set_joint_position(self.data, self.protocol.scene.parked_joint_rad)
         mujoco.mj_forward(self.model, self.data)
         self.control.park()
 
@@ -228,7 +227,7 @@ class Simulation:
         self.impedance.set_gains(np.repeat([translational, rotational], 3))
 
     def set_joint_target(self, joint_position: F64) -> None:
-        """(7,) [rad] for a robot under joint control; it holds from the next physics step on."""
+        """(joints,) [rad] for a robot under joint control; it holds from the next physics step on."""
         if not isinstance(self.control, JointControl):
             raise SceneError(f"{type(self.control).__name__}: this world's robot takes poses of its tool only")
         self.control.set_target(joint_position)

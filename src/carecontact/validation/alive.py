@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Alive, Breathing, Repositioning
 from carecontact.kernel.life import JOINTS, Doings, Life, Move, breath
 from carecontact.regions import REGIONS
@@ -118,7 +117,7 @@ def _pressed(living: Subject) -> Simulation:
     simulation = living.hovering(REGION)
     move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
     move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
-    for joint in PANDA.joints:
+    for joint in simulation.robot.joints:
         dof = int(simulation.model.joint(joint).dofadr[0])
         simulation.model.dof_armature[dof] = FROZEN
         simulation.data.qvel[dof] = 0.0

@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.regions import REGIONS
 from carecontact.validation import free_skin
 from carecontact.validation.result import Array, CheckResult, Measure
@@ -140,7 +139,7 @@ def core_depths(scene: Scene, region: str) -> Array:
     bone = model.body(body_name(REGIONS[region].segment)).id
     to_world = data.xmat[bone].reshape(3, 3)
     origin = scene.body.joint_centre[REGIONS[region].segment]
-    tool = model.geom(EMBODIMENTS[scene.protocol.scene.tool].tip.geom)
+    tool = model.geom(scene.robot.tip.geom)
     cores = [
         g for g in range(model.ngeom)
         if model.geom(g).name.startswith(f"human_core_{region}_")

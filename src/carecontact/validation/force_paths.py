@@ -8,7 +8,6 @@ from dataclasses import fields
 import mujoco
 import numpy as np
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.kernel.region import Law
 from carecontact.sim.simulation import Simulation
 from carecontact.validation.result import Array
@@ -95,10 +94,10 @@ def tip_force(simulation: Simulation) -> Array:
     """
     model, data = simulation.model, simulation.data
     jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site(PANDA.tcp_site).id)
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site(simulation.robot.tcp_site).id)
     mobility = np.zeros_like(jacobian)
     mujoco.mj_solveM(model, data, mobility, jacobian)
-    dofs = [model.joint(name).dofadr[0] for name in PANDA.joints]
+    dofs = [model.joint(name).dofadr[0] for name in simulation.robot.joints]
     tissue = sum(felt.generalised_force(model, data) for felt in simulation.tissue.values())
     torque = (data.qfrc_actuator + data.qfrc_passive - tissue + data.qfrc_applied - data.qfrc_bias)[dofs]
     return np.linalg.solve(jacobian[:, dofs] @ mobility[:, dofs].T, mobility[:, dofs] @ torque)[:3]
@@ -109,8 +108,9 @@ def touches_hard_parts(simulation: Simulation) -> bool:
     contacts.
     """
     model, data = simulation.model, simulation.data
+    robot = model.body(simulation.robot.base_body).id
     for i in range(data.ncon):
-        bodies = [model.body(model.geom_bodyid[g]).name for g in data.contact[i].geom]
-        if any(n.startswith("robot_") for n in bodies) and any(n.startswith("human_") for n in bodies):
+        bodies = [model.body(model.geom_bodyid[g]) for g in data.contact[i].geom]
+        if any(b.rootid[0] == robot for b in bodies) and any(b.name.startswith("human_") for b in bodies):
             return True
     return False

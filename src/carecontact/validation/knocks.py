@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Tip
+from carecontact.contract.embodiment import Tip
 from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError
 from carecontact.sim.simulation import Simulation, lengths
@@ -321,7 +321,7 @@ def strike_with_tool(subject: Subject) -> Blow:
     """
     protocol = subject.protocol
     mass, speed, tip = (
-        protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s, EMBODIMENTS[protocol.scene.tool].tip
+        protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s, protocol.scene.robot.tip
     )  # fmt: skip
     belly = Site(name=f"abdomen under the robot's tool ({protocol.scene.tool})", region="abdomen", towards=DOWNWARD,
                  ball_m=tip.half_m[2], depth_m=np.zeros(1), force_n=np.zeros(1))  # fmt: skip
@@ -337,7 +337,7 @@ def with_striker(scene: Scene, mass_kg: float, shape: float | Tip) -> Scene:
     It is a child of the robot's base, so that sensors and tissue treat it as a part of the robot.
     """
     spec = scene.spec.copy()
-    base = spec.body(PANDA.base_body)
+    base = spec.body(scene.robot.base_body)
     made = base.add_body(name=STRIKER, gravcomp=1.0)
     for axis in np.eye(3):
         made.add_joint(name=f"{STRIKER}_{'xyz'[int(axis.argmax())]}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
@@ -401,7 +401,7 @@ def _way_m(simulation: Simulation, towards: Array) -> float:
 
 
 def _along(simulation: Simulation, of_slides: Array, towards: Array) -> float:
-    into_world = simulation.data.body(PANDA.base_body).xmat.reshape(3, 3)
+    into_world = simulation.data.body(simulation.robot.base_body).xmat.reshape(3, 3)
     return float(into_world @ of_slides @ towards)
 
 
@@ -423,7 +423,7 @@ def _stray_n(simulation: Simulation, site: Site) -> float:
 def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
     """Put the ball GAP_M before the site, on a line through its middle, and let it fly."""
     model, data, towards = simulation.model, simulation.data, np.array(site.towards)
-    base = data.body(PANDA.base_body)
+    base = data.body(simulation.robot.base_body)
     into_base = base.xmat.reshape(3, 3).T
     first = model.joint(f"{STRIKER}_x")
     at, dof = slice(first.qposadr[0], first.qposadr[0] + 3), slice(first.dofadr[0], first.dofadr[0] + 3)

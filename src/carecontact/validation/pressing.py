@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.sim.bench import Bench, Indenter
 from carecontact.validation.subject import Subject
 
@@ -32,4 +31,4 @@ def declared_bench(
 
 def tool(subject: Subject) -> Indenter:
     """Return the tool of the protocol's robot, lying across the region."""
-    return Indenter(shape="cap", tip=EMBODIMENTS[subject.protocol.scene.tool].tip)
+    return Indenter(shape="cap", tip=subject.protocol.scene.robot.tip)

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Tip
+from carecontact.contract.embodiment import EMBODIMENTS, Tip
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS
 from carecontact.validation.result import Array
@@ -53,7 +53,7 @@ def of_tip(name: str, tip: Tip) -> Tool:
     )  # fmt: skip
 
 
-CAP = of_tip("cap", PANDA.tip)
+CAP = of_tip("cap", EMBODIMENTS["caps"].tip)
 PAD = Tool(name="pad", kind=mujoco.mjtGeom.mjGEOM_BOX, size_m=(0.015, 0.020, 0.006), height_m=0.006)
 """30 x 40 x 12 mm, with the rounded edges that the compiled tissue gives a box."""
 FLANK = Tool(
@@ -66,7 +66,7 @@ FLANK = Tool(
 def robot_tool(subject: Subject) -> Tool:
     """Return the tool of the protocol's robot, which is the cap or the wash mitt."""
     name = subject.protocol.scene.tool
-    return CAP if name == "caps" else of_tip(name, EMBODIMENTS[name].tip)
+    return CAP if name == "caps" else of_tip(name, subject.protocol.scene.robot.tip)
 
 
 class Rig:

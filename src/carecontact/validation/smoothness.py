@@ -16,7 +16,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.kernel.readings import Cells
 from carecontact.recording.schema import SEGMENTS
 from carecontact.regions import REGIONS
@@ -166,7 +165,7 @@ def scrub(
     line = (np.abs(skin @ across) < 0.012) & (skin[:, 2] > -0.03)
     profile = np.polynomial.Polynomial.fit(skin[line] @ along, skin[line, 2], 3)
     period, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
-    tip = simulation.data.site(PANDA.tcp_site)
+    tip = simulation.data.site(simulation.robot.tcp_site)
     depth = newton / stiffness
 
     def at() -> float:
@@ -255,7 +254,7 @@ def room(simulation: Simulation, moved: Callable[[float], Array]) -> tuple[float
     """
     model, data = simulation.model, simulation.data
     geoms = range(model.ngeom)
-    wrist = model.body("robot_hand").id
+    wrist = model.body(simulation.robot.flange_body).id
     hand = [g for g in geoms if model.geom_bodyid[g] == wrist and model.geom_contype[g]]
     rigid = [g for g in geoms if model.geom_conaffinity[g] & 1 and not model.geom(g).name.startswith("human_core_")]
     now = data.geom_xpos[hand].copy()

@@ -5,18 +5,23 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import Baked, Robot
 from carecontact.contract.geometry import pose_matrix
-from carecontact.world.robot import JOINT_ARMATURE, panda_asset
+from carecontact.errors import SceneError
+from carecontact.world.robot import JOINT_ARMATURE, arrays_of
 
 Array = npt.NDArray[np.float64]
 
 
 class Arm:
-    """Forward kinematics and inertia of the baked arm, vectorized over postures (B, 7), in the base frame."""
+    """Forward kinematics and inertia of the baked arm, vectorized over postures (B, joints), in the base frame."""
 
-    def __init__(self) -> None:
-        asset = panda_asset()
+    def __init__(self, robot: Robot) -> None:
+        """Raises SceneError for a robot whose arm is not baked, and for one without a reach."""
+        if not isinstance(robot.source, Baked) or robot.reach is None:
+            raise SceneError(f"robot {robot.id}: only a baked arm with a reach can be asked where its base may stand")
+        self.reach, self.joints, self._tcp_z_m = robot.reach, len(robot.joints), robot.tcp_z_m
+        asset = arrays_of(robot.source)
         self.frames = np.stack(
             [pose_matrix(p, q) for p, q in zip(asset["frame_position_m"], asset["frame_quat"], strict=True)]
         )
@@ -27,31 +32,31 @@ class Arm:
         self.inertia = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
 
     def links(self, q: Array) -> Array:
-        """Return the poses (B, 9, 4, 4) of link1 to link7, the hand and the tool centre point."""
+        """Return the poses (B, joints + 2, 4, 4) of all links that move, the hand and the tool centre point."""
         pose = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         out = []
-        for i in range(7):
+        for i in range(self.joints):
             turn = np.tile(np.eye(4), (len(q), 1, 1))
             turn[:, 0, 0] = turn[:, 1, 1] = np.cos(q[:, i])
             turn[:, 1, 0] = np.sin(q[:, i])
             turn[:, 0, 1] = -turn[:, 1, 0]
             pose = pose @ self.frames[i] @ turn
             out.append(pose)
-        out.append(pose @ self.frames[7])
-        out.append(out[-1] @ pose_matrix(np.array([0, 0, PANDA.tcp_z_m]), np.array([1.0, 0, 0, 0])))
+        out.append(pose @ self.frames[self.joints])
+        out.append(out[-1] @ pose_matrix(np.array([0, 0, self._tcp_z_m]), np.array([1.0, 0, 0, 0])))
         return np.stack(out, 1)
 
     def jacobian(self, links: Array) -> Array:
-        """Return the Jacobian (B, 6, 7) of the tool centre point: three linear rows, then three angular ones."""
-        axes, origins = links[:, :7, :3, 2], links[:, :7, :3, 3]
-        linear = np.cross(axes, links[:, 8, None, :3, 3] - origins)
+        """Return the Jacobian (B, 6, joints) of the tool centre point: three linear rows, then three angular ones."""
+        axes, origins = links[:, :-2, :3, 2], links[:, :-2, :3, 3]
+        linear = np.cross(axes, links[:, -1, None, :3, 3] - origins)
         return np.concatenate([linear, axes], 2).swapaxes(1, 2)
 
     def mass_matrix(self, links: Array) -> Array:
-        axes, origins = links[:, :7, :3, 2], links[:, :7, :3, 3]
-        total = np.tile(np.eye(7) * JOINT_ARMATURE, (len(links), 1, 1))
-        for k in range(8):
-            moves = (np.arange(7) <= k)[None, :, None]
+        axes, origins = links[:, :-2, :3, 2], links[:, :-2, :3, 3]
+        total = np.tile(np.eye(self.joints) * JOINT_ARMATURE, (len(links), 1, 1))
+        for k in range(self.joints + 1):
+            moves = (np.arange(self.joints) <= k)[None, :, None]
             centre = links[:, k, :3, :3] @ self.com[k] + links[:, k, :3, 3]
             linear = np.cross(axes, centre[:, None] - origins) * moves
             angular = axes * moves
@@ -81,8 +86,8 @@ class Arm:
     def inverse(
         self, position: Array, rotation: Array, seed: Array, *, iterations: int = 60, centring: float = 0.12
     ) -> tuple[Array, Array]:
-        """Solve for postures (B, 7) by damped least squares, with joints centred in the null space; return them and the
-        pose errors (B,).
+        """Solve for postures (B, joints) by damped least squares, with joints centred in the null space; return them
+        and the pose errors (B,).
         """
         middle, half = self.range.mean(1), np.ptp(self.range, axis=1) / 2
         q = seed.copy()
@@ -102,7 +107,7 @@ class Arm:
 
     @staticmethod
     def pose_error(links: Array, position: Array, rotation: Array) -> Array:
-        tcp = links[:, 8]
+        tcp = links[:, -1]
         turn = 0.5 * np.cross(tcp[:, :3, :3], rotation, axis=1).sum(2)
         return np.concatenate([position - tcp[:, :3, 3], turn], 1)
 
@@ -123,15 +128,15 @@ def follow(
     does.
 
     Args:
-        parked: (B, 7) postures from which the paths begin.
+        parked: (B, joints) postures from which the paths begin.
         goal: (B, 3) where they end, in base.
         goal_yaw, start_yaw: (B,) of the tool in world [rad], which points down.
         turn: (3, 3) base -> world.
 
     Returns:
-        Postures (steps, B, 7), and the largest pose error on each path (B,), metres and radians in one norm.
+        Postures (steps, B, joints), and the largest pose error on each path (B,), metres and radians in one norm.
     """
-    start = arm.links(parked)[:, 8, :3, 3]
+    start = arm.links(parked)[:, -1, :3, 3]
     swing = (goal_yaw - start_yaw + np.pi) % (2 * np.pi) - np.pi
     q, path = parked.copy(), []
     error = np.zeros(len(q))

@@ -22,6 +22,6 @@ def look_at(camera: Camera) -> np.ndarray:
 
 def add_cameras(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     for name, camera in protocol.cameras.items():
-        parent = spec.worldbody if camera.mount == "world" else spec.body("robot_hand")
+        parent = spec.worldbody if camera.mount == "world" else spec.body(protocol.scene.robot.flange_body)
         parent.add_camera(name=name, pos=camera.position_m, quat=look_at(camera), fovy=camera.fovy_deg,
                           resolution=[camera.width, camera.height])  # fmt: skip

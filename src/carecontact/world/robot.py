@@ -1,7 +1,7 @@
-"""The Franka Panda with its closed, capped gripper, and the impedance that is part of the model.
+"""The robot with its tool, and the impedance that is part of the model.
 
-Names: bodies ``robot_base``, ``robot_link1`` .. ``robot_link7``, ``robot_hand``; joints ``robot_joint1`` .. 7; site
-``tcp``; mocap body ``tcp_target``; actuators ``impedance_0`` .. ``impedance_5`` (x y z, then rotation about x y z).
+Names: those of ``contract.embodiment.Robot``, for a baked arm also the bodies ``robot_link1``, ``robot_link2`` and so
+on; mocap body ``tcp_target``; actuators ``impedance_0`` .. ``impedance_5`` (x y z, then rotation about x y z).
 
 Visual geoms are in group 1 and never collide. Collision geoms are in group 3 with contype 1 and conaffinity 0: the
 robot meets whatever has bit 1 in its conaffinity, and never itself.
@@ -12,19 +12,19 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from hashlib import sha256
-from importlib import resources
 from io import BytesIO
+from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import EMBODIMENTS, PANDA, Embodiment
+from carecontact.contract.embodiment import Baked, Mjcf, Robot
 from carecontact.contract.protocol import Impedance, Protocol
 from carecontact.errors import AssetError, SceneError
 
 FINGER_ORIGIN_Z_M = 0.0584
-"""Height of the fingers' carriage in the hand's frame (URDF, panda_finger_joint1)."""
+"""Height of the fingers' carriage in the hand's frame (joint finger_joint1 of the hand's URDF)."""
 JOINT_DAMPING = 1.0
 """[N m s/rad] light viscous friction; assumed."""
 JOINT_ARMATURE = 0.1
@@ -44,26 +44,20 @@ Array = npt.NDArray[np.float64]
 
 
 @lru_cache(maxsize=1)
-def panda_asset() -> dict[str, npt.NDArray[np.generic]]:
-    """Return the arrays of the baked arm. Raises AssetError if the file is missing or does not match its provenance
+def arrays_of(arm: Baked) -> dict[str, npt.NDArray[np.generic]]:
+    """Return the arrays of a baked arm. Raises AssetError if the file is missing or does not match its provenance
     record.
     """
-    folder = resources.files("carecontact.assets") / "panda"
+    name = arm.name
     try:
-        data = (folder / "panda.npz").read_bytes()
-        expected = json.loads((folder / "panda.provenance.json").read_text())["sha256"]
+        data = arm.file().read_bytes()
+        expected = json.loads(arm.file("provenance.json").read_text())["sha256"]
     except OSError as error:
-        raise AssetError(f"robot asset panda: {error}; reinstall the package or run tools/bake_panda.py") from None
+        raise AssetError(f"robot asset {name}: {error}; reinstall the package or run tools/bake_{name}.py") from None
     if sha256(data).hexdigest() != expected:
-        raise AssetError("robot asset panda.npz does not match the sha256 in panda.provenance.json")
+        raise AssetError(f"robot asset {name}.npz does not match the sha256 in {name}.provenance.json")
     with np.load(BytesIO(data)) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def panda_sha256() -> str:
-    """Return the sha256 of the baked arm, as recorded in its provenance file."""
-    folder = resources.files("carecontact.assets") / "panda"
-    return str(json.loads((folder / "panda.provenance.json").read_text())["sha256"])
+        return {key: archive[key] for key in archive.files}
 
 
 def damping_of(stiffness: float, inertia: float) -> float:
@@ -74,25 +68,31 @@ def damping_of(stiffness: float, inertia: float) -> float:
 def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     """Add the arm on its pedestal, the mocap target and the impedance actuators to ``spec``.
 
-    The joints' neutral position is 0, which is outside joint 4's range: set the parked posture of the protocol before
-    the first step. Torque limits apply to the impedance's torque, which is added to the gravity compensation. Raises
-    SceneError if the base is under the floor.
+    The joints' neutral position is 0, which may be outside a joint's range: set the parked posture of the protocol
+    before the first step. Torque limits apply to the impedance's torque, which is added to the gravity compensation.
+    Raises SceneError if the base is under the floor.
     """
-    asset, scene = panda_asset(), protocol.scene
+    scene = protocol.scene
     if scene.robot_base_m[2] <= 0:
         raise SceneError(f"scene.robot_base_m {list(scene.robot_base_m)}: the base must be above the floor")
+    half_yaw = np.deg2rad(scene.robot_yaw_deg) / 2
+    place = {"pos": scene.robot_base_m, "quat": [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]}
+    robot, source = scene.robot, scene.robot.source
+    base = _attach(spec, robot, source, place) if isinstance(source, Mjcf) else _add_baked(spec, robot, source, place)
+    _add_pedestal(base, scene.robot_base_m[2])
+    _add_impedance(spec, robot, protocol.impedance)
+
+
+def _add_baked(spec: mujoco.MjSpec, robot: Robot, source: Baked, place: dict[str, Any]) -> mujoco.MjsBody:
+    asset = arrays_of(source)
     meshes = _add_meshes(spec, asset)
     # A spec reads joint ranges in the angle unit of its compiler, by default degrees.
     to_spec_angle = np.rad2deg(1.0) if spec.compiler.degree else 1.0
-    half_yaw = np.deg2rad(scene.robot_yaw_deg) / 2
-    body = spec.worldbody.add_body(
-        name=PANDA.base_body, pos=scene.robot_base_m, quat=[np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)], gravcomp=1
-    )
+    body = base = spec.worldbody.add_body(name=robot.base_body, gravcomp=1, **place)
     _set_inertial(body, asset, 0)
     _add_link_geoms(body, "link0", meshes)
-    _add_pedestal(body, scene.robot_base_m[2])
-    count = len(PANDA.joints)
-    for i, joint in enumerate(PANDA.joints):
+    count = len(robot.joints)
+    for i, joint in enumerate(robot.joints):
         name = f"link{i + 1}"
         body = body.add_body(
             name=f"robot_{name}", pos=asset["frame_position_m"][i], quat=asset["frame_quat"][i], gravcomp=1
@@ -112,12 +112,40 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
         _set_inertial(body, asset, i + 1)
         _add_link_geoms(body, name, meshes)
     hand = body.add_body(
-        name="robot_hand", pos=asset["frame_position_m"][count], quat=asset["frame_quat"][count], gravcomp=1
+        name=robot.flange_body, pos=asset["frame_position_m"][count], quat=asset["frame_quat"][count], gravcomp=1
     )
     _set_inertial(hand, asset, count + 1)
     _add_link_geoms(hand, "hand", meshes)
-    _add_tool(spec, hand, meshes, EMBODIMENTS[scene.tool])
-    _add_impedance(spec, protocol.impedance)
+    _add_tool(spec, hand, meshes, robot)
+    return base
+
+
+def _attach(spec: mujoco.MjSpec, robot: Robot, source: Mjcf, place: dict[str, Any]) -> mujoco.MjsBody:
+    """Add the arm of an MJCF text: compensated for its weight, without its own actuators, in the groups and with the
+    contact bits of every robot here.
+    """
+    arm = mujoco.MjSpec.from_string(source.text, assets=dict(source.files))
+    for row in [*arm.actuators, *arm.sensors, *arm.keys]:
+        arm.delete(row)
+    first = arm.body(robot.base_body.removeprefix(source.PREFIX))
+    base = spec.worldbody.add_frame(**place).attach_body(first, source.PREFIX, "")
+    for body in [base, *base.find_all("body")]:
+        body.gravcomp = 1
+    for geom in base.find_all("geom"):
+        if geom.contype or geom.conaffinity:
+            hidden = geom.group >= COLLISION_GROUP
+            geom.contype, geom.conaffinity, geom.group = 1, 0, COLLISION_GROUP if hidden else VISUAL_GROUP
+        else:
+            geom.group = VISUAL_GROUP
+    if robot.tip.give_m3_n:
+        _make_giving(spec, spec.geom(robot.tip.geom), robot)
+    return base
+
+
+def _make_giving(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, robot: Robot) -> None:
+    """The compiled tissue reads how far a geom's surface gives way from its first user number."""
+    spec.nuser_geom = 1
+    geom.userdata = [robot.tip.give_m3_n]
 
 
 def _add_meshes(spec: mujoco.MjSpec, asset: dict[str, npt.NDArray[np.generic]]) -> list[str]:
@@ -195,7 +223,7 @@ def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
     )
 
 
-def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robot: Embodiment) -> None:
+def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robot: Robot) -> None:
     """Add the closed fingers (visual), the shaft that represents them in collisions, the tip that is meant to touch,
     and the tool centre point.
     """
@@ -218,13 +246,11 @@ def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robo
     _make_colliding(touching)
     touching.group, touching.rgba = VISUAL_GROUP, MITT_COLOUR if tip.give_m3_n else CAP_COLOUR
     if tip.give_m3_n:
-        # The compiled tissue reads how far a geom's surface gives way from its first user number.
-        spec.nuser_geom = 1
-        touching.userdata = [tip.give_m3_n]
+        _make_giving(spec, touching, robot)
     hand.add_site(name=robot.tcp_site, pos=[0, 0, robot.tcp_z_m], size=[0.003, 0.003, 0.003], group=4)
 
 
-def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:
+def _add_impedance(spec: mujoco.MjSpec, robot: Robot, impedance: Impedance) -> None:
     """Add six springs and dampers between ``tcp`` and the mocap target, each along or about one axis of the target.
 
     With a reference site, the transmission's length is the pose error in the target's frame, so that a position servo
@@ -240,7 +266,7 @@ def _add_impedance(spec: mujoco.MjSpec, impedance: Impedance) -> None:
         actuator = spec.add_actuator(
             name=f"impedance_{axis}",
             trntype=mujoco.mjtTrn.mjTRN_SITE,
-            target=PANDA.tcp_site,
+            target=robot.tcp_site,
             refsite="tcp_target",
             gear=np.eye(6)[axis],
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS, Control
-from carecontact.contract.embodiment import EMBODIMENTS
+from carecontact.contract.embodiment import Robot
 from carecontact.contract.protocol import Alive, Protocol, Tissue
 from carecontact.errors import SceneError
 from carecontact.kernel.life import add_life
@@ -54,6 +54,10 @@ class Scene:
     """The controller that moves the robot."""
     place: Place = UNMOVED
     """Place to which the person was moved after the compilation (``world.place``)."""
+
+    @property
+    def robot(self) -> Robot:
+        return self.protocol.scene.robot
 
     @property
     def turn(self) -> ArmTurn:
@@ -134,14 +138,16 @@ def _add_person(
     if alive.uses_the_arm:
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
-    tip = EMBODIMENTS[protocol.scene.tool].tip.geom
+    robot = protocol.scene.robot
     for region in protocol.soft_regions:
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
         shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
         under = plate_under(REGIONS[region].segment)
         floor = None if under is None else plate_body(under)
-        regions[region] = add_tissue(spec, body, region, shell, tissue, tip=tip, on=on, floor=floor)
+        regions[region] = add_tissue(
+            spec, body, region, shell, tissue, tools=robot.base_body, tip=robot.tip.geom, on=on, floor=floor
+        )
     return hinges, regions
 
 
@@ -166,7 +172,7 @@ def controlled(scene: Scene, control: Control) -> Scene:
     """Return the same world, as compiled, with the robot under a joint control; ``scene`` is not changed."""
     assert control.joint is not None
     spec = scene.spec.copy()
-    replace_impedance(spec, control.joint)
+    replace_impedance(spec, scene.robot, control.joint)
     return replace(scene, model=spec.compile(), spec=spec, control=control)
 
 

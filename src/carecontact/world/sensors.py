@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import mujoco
 
-from carecontact.contract.embodiment import EMBODIMENTS, PANDA
 from carecontact.contract.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.world.human.joints import Hinge
 from carecontact.world.human.plates import PLATES, plate_body
 from carecontact.world.human.skeleton import body_name
-from carecontact.world.joint_impedance import FLANGE_BODY
 
 CONTACT_SLOTS = 12
 """Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
@@ -53,7 +51,8 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
     def normal(name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str]) -> None:
         contact(name, first, second, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
 
-    robot, person = (obj.mjOBJ_XBODY, PANDA.base_body), (obj.mjOBJ_XBODY, body_name("pelvis"))
+    names = protocol.scene.robot
+    robot, person = (obj.mjOBJ_XBODY, names.base_body), (obj.mjOBJ_XBODY, body_name("pelvis"))
 
     def surface(name: str, body: str) -> None:
         contact(f"net_{name}", robot, (obj.mjOBJ_BODY, body), FORCE_BIT | POS_BIT, NETFORCE, 1)
@@ -63,8 +62,8 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
         surface(segment, body_name(segment))
     for plate in PLATES:
         surface(plate_sensor(plate.name), plate_body(plate.name))
-    normal(TIP_SENSOR, (obj.mjOBJ_GEOM, EMBODIMENTS[protocol.scene.tool].tip.geom), person)
-    normal(HAND_SENSOR, (obj.mjOBJ_BODY, FLANGE_BODY), person)
+    normal(TIP_SENSOR, (obj.mjOBJ_GEOM, names.tip.geom), person)
+    normal(HAND_SENSOR, (obj.mjOBJ_BODY, names.flange_body), person)
     for hinge in hinges:
         spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
                         objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip
@@ -72,10 +71,10 @@ def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) ->
     def frame(name: str, sensor: mujoco.mjtSensor, objtype: mujoco.mjtObj, objname: str) -> None:
         spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname, nsample=samples)
 
-    frame("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, PANDA.tcp_site)
-    frame("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, PANDA.tcp_site)
-    frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, PANDA.tcp_site)
-    frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, PANDA.tcp_site)
+    frame("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, names.tcp_site)
+    frame("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, names.tcp_site)
+    frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, names.tcp_site)
+    frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, names.tcp_site)
     frame("wrist_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, body_name("right_hand"))
     for region in protocol.regions:
         frame(f"region_{region}_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, f"region_{region}")

@@ -174,7 +174,7 @@ def test_a_session_id_is_random_and_the_digest_does_not_depend_on_it() -> None:
 
 def test_the_cartesian_position_is_that_of_the_flange() -> None:
     """Against the frames of the shipped arm; the hand sits on the flange, turned by 45 degrees."""
-    hand = pose_hand_in_base(JOINTS)
+    hand = pose_hand_in_base("panda", JOINTS)
     tcp = hand[:3, 3] + PANDA.tcp_z_m * hand[:3, 2]
     given = cartesian_position(np.array([*tcp, *quat_from_matrix(hand[:3, :3])]))
     np.testing.assert_allclose(given[:3], hand[:3, 3], atol=1e-12)

@@ -27,7 +27,7 @@ class Action:
     """(6,) feedforward in the axes of the tool, force [N] and torque [N m], that the robot adds to the spring's wrench
     and exerts on what it touches; None keeps the last, which is zero at first."""
     joint: npt.NDArray[np.float64] | None = None
-    """(7,) for the joint action spaces: angles [rad] or normalised velocities; None keeps the last target."""
+    """(joints,) for the joint action spaces: angles [rad] or normalised velocities; None keeps the last target."""
     gripper: float | None = None
     """Opening in [0, 1]; None keeps the last. The closed-gripper embodiment ignores the value, but a value
     outside [0, 1] is still an error."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from carecontact.errors import UnknownNameError
+from carecontact.registry import Registry
 
 Positive = Annotated[float, Field(gt=0)]
 Length = Annotated[float, Field(ge=0.001, le=0.2)]
@@ -19,3 +23,14 @@ class Section(BaseModel):
     """A table of a protocol file: frozen, without unknown fields, every number finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def registered(registry: Registry[Any]) -> Callable[[str], str]:
+    """Return a validator that passes the names of a registry's rows; the error of any other name lists them."""
+
+    def check(name: str) -> str:
+        if name not in registry:
+            raise ValueError(str(UnknownNameError(registry.kind, name, registry)))
+        return name
+
+    return check

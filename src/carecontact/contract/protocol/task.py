@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated
 
 from pydantic import AfterValidator
 
 from carecontact.contract.protocol.gates import BEHAVIOURS
-from carecontact.contract.protocol.section import FileStem, Section
-from carecontact.errors import UnknownNameError
+from carecontact.contract.protocol.section import FileStem, Section, registered
 from carecontact.regions import REGIONS, STANDARD_REGIONS
-from carecontact.registry import Registry
 
-
-def _registered(registry: Registry[Any]) -> Callable[[str], str]:
-    """Return a validator that passes the names of a registry's rows; the error of any other name lists them."""
-
-    def check(name: str) -> str:
-        if name not in registry:
-            raise ValueError(str(UnknownNameError(registry.kind, name, registry)))
-        return name
-
-    return check
-
-
-ActionName = Annotated[str, AfterValidator(_registered(BEHAVIOURS))]
+ActionName = Annotated[str, AfterValidator(registered(BEHAVIOURS))]
 """Name of a row of BEHAVIOURS."""
-RegionName = Annotated[str, AfterValidator(_registered(REGIONS))]
+RegionName = Annotated[str, AfterValidator(registered(REGIONS))]
 """Name of a row of ``carecontact.regions.REGIONS``."""
 
 

@@ -1,4 +1,4 @@
-"""Targets of the robot's seven joints, absolute or as DROID's normalised velocities."""
+"""Targets of the robot's joints, absolute or as DROID's normalised velocities."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ DROID's droid/robot_ik/robot_ik_solver.py)."""
 
 
 class JointDriver(Driver):
-    """Turns the seven numbers of an action into a joint target that holds until the next action."""
+    """Turns the numbers of an action into a joint target that holds until the next action."""
 
     def apply(self, action: Action, period_s: float) -> Mapping[str, F64]:
         if action.joint is not None:
             self.simulation.set_joint_target(self._target(action.joint))
-        nothing = np.full(7, np.nan)
+        joints = len(self.simulation.robot.joints)
         return {
-            "actions/pose_tcp_in_base": nothing,
-            "actions/stiffness": nothing[:2],
-            "actions/joint": nothing if action.joint is None else action.joint,
+            "actions/pose_tcp_in_base": np.full(7, np.nan),
+            "actions/stiffness": np.full(2, np.nan),
+            "actions/joint": np.full(joints, np.nan) if action.joint is None else action.joint,
         }
 
     @abstractmethod
     def _target(self, joint: F64) -> F64:
-        """Turn the numbers (7,) of an action into joint targets (7,) [rad]."""
+        """Turn the numbers (joints,) of an action into joint targets (joints,) [rad]."""
 
 
 class JointPosition(JointDriver):
@@ -47,6 +47,6 @@ class DroidJointVelocity(JointDriver):
     """
 
     def _target(self, joint: F64) -> F64:
-        return self.simulation.robot.joint_position(self.simulation.data) + DROID_STEP_RAD * joint / max(
+        return self.simulation.encoders.joint_position(self.simulation.data) + DROID_STEP_RAD * joint / max(
             1.0, float(np.abs(joint).max())
         )

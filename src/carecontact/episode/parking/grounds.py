@@ -24,12 +24,6 @@ cannot follow the straight way to a target; a joint comes to the end of its rang
 
 HOVER_M, PRESS_M = 0.07, -0.02
 """Heights over the skin that the tool must reach: above every hover of the shipped policies, and as deep as a press."""
-WRIST_M, MOVED_WRIST_M = (0.30, 0.695), (0.26, 0.712)
-"""Least and largest distance [m] of the person's wrist from the robot's shoulder. The second pair is the state
-machine's comfortable range and holds after the person has moved the arm. The first is narrower, because what a policy
-sees is off by some millimetres."""
-SHOULDER_HEIGHT_M, WRIST_OFFSET_M, WRIST_TO_TCP_M = 0.333, 0.088, 0.107 + 0.117
-"""Dimensions [m] of the Panda (data sheet) with this tool, as in ``policies.state_machine.fixed_values``."""
 INSIDE_M = 0.02
 """Least distance [m] of every target from the sides of the workspace."""
 BED_HALF_WIDTH_M, BED_GAP_M = 0.45, 0.10
@@ -50,7 +44,6 @@ PATH_STEPS, PATH_ERROR = 16, 3e-3
 LEAST_MARGIN, LEAST_MANIPULABILITY = 0.05, 0.025
 """Least distance of a joint from the end of its range, as a share of half the range, and least manipulability
 sqrt(det(J J^T)). At the fixed base, the worst target has a manipulability of 0.05."""
-ARM = Arm()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +88,13 @@ class Ground:
         return np.concatenate([self.laid.cloud, *(laid.cloud[laid.on_arm] for laid in self.moved)])
 
     @cached_property
+    def _arm(self) -> Arm:
+        return Arm(self.protocol.scene.robot)
+
+    @cached_property
     def _parked(self) -> Array:
-        """(9, 4, 4) poses of the parked arm's links in the robot's base."""
-        return ARM.links(np.array([self.protocol.scene.parked_joint_rad]))[0]
+        """(joints + 2, 4, 4) poses of the parked arm's links in the robot's base."""
+        return self._arm.links(np.array([self.protocol.scene.parked_joint_rad]))[0]
 
     def targets(self, region: str, laid: Laid) -> Array:
         """Return the places (n, 3) [m] in the world that the tool centre point must be able to reach."""
@@ -113,10 +110,10 @@ class Ground:
         """Return why the robot may not stand at a base for a task on a region; None if it may."""
         at, turn = np.array(base.position_m), base.turn
         targets = self.targets(region, self.laid)
-        found = self._in_the_way(at) or self._out_of_reach((targets - at) @ turn, WRIST_M)
+        found = self._in_the_way(at) or self._out_of_reach((targets - at) @ turn, self._arm.reach.wrist_m)
         if found is None and self.moved:
             moved = np.concatenate([self.targets(region, laid) for laid in self.moved])
-            found = self._out_of_reach((moved - at) @ turn, MOVED_WRIST_M)
+            found = self._out_of_reach((moved - at) @ turn, self._arm.reach.moved_wrist_m)
             targets = np.unique(np.concatenate([targets, moved]), axis=0)
         return found or self._over_the_person(at, turn) or self._awkward(base, targets)
 
@@ -137,8 +134,9 @@ class Ground:
         """Check that targets are within reach. ``local``: targets (n, 3) [m] in the robot's base, for a tool that
         points down and away from the base.
         """
-        level = np.hypot(local[:, 0], local[:, 1]) - WRIST_OFFSET_M
-        distance = np.hypot(level, local[:, 2] + WRIST_TO_TCP_M - SHOULDER_HEIGHT_M)
+        reach = self._arm.reach
+        level = np.hypot(local[:, 0], local[:, 1]) - reach.wrist_offset_m
+        distance = np.hypot(level, local[:, 2] + reach.wrist_to_tcp_m - reach.shoulder_height_m)
         if distance.min() < wrist_m[0] or distance.max() > wrist_m[1]:
             return "reach"
         low, high = (np.array(side) for side in (
@@ -165,19 +163,19 @@ class Ground:
 
     def _awkward(self, base: Base, targets: Array) -> Refusal | None:
         """Check the straight paths from the parked pose to the targets, which the impedance would take."""
-        start = base.turn @ self._parked[8, :3, :3]
+        start = base.turn @ self._parked[-1, :3, :3]
         yaw = np.arctan2(start[1, 0], start[0, 0])
         out = targets - np.array(base.position_m)
         count, way = len(targets), np.arctan2(out[:, 1], out[:, 0])
         path, error = follow(
-            ARM, np.tile(self.protocol.scene.parked_joint_rad, (count, 1)), out @ base.turn, way,
+            self._arm, np.tile(self.protocol.scene.parked_joint_rad, (count, 1)), out @ base.turn, way,
             np.full(count, yaw), base.turn, steps=PATH_STEPS,
         )  # fmt: skip
         if error.max() > PATH_ERROR:
             return "path"
-        if ARM.margin(path.reshape(-1, path.shape[-1])).min() < LEAST_MARGIN:
+        if self._arm.margin(path.reshape(-1, path.shape[-1])).min() < LEAST_MARGIN:
             return "joints"
-        manipulability, _ = ARM.measures(path[-1])
+        manipulability, _ = self._arm.measures(path[-1])
         return "posture" if manipulability.min() < LEAST_MANIPULABILITY else None
 
 

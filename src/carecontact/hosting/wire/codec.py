@@ -21,8 +21,8 @@ Plain = dict[str, object]
 Shape = tuple[int | str, ...]
 
 OBSERVATION_ARRAYS: dict[str, tuple[str, Shape]] = {
-    "joint_position": ("<f8", (7,)),
-    "joint_velocity": ("<f8", (7,)),
+    "joint_position": ("<f8", ("joints",)),
+    "joint_velocity": ("<f8", ("joints",)),
     "gripper_position": ("<f8", (1,)),
     "pose_tcp_in_base": ("<f8", (7,)),
 }
@@ -36,12 +36,12 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "landmarks": ("<f4", (33, 3)),
     "landmarks_in_base": ("<f4", (33, 3)),
 }
-"""Field -> dtype and shape; equal letters within one camera stand for equal sizes."""
+"""Field -> dtype and shape; equal letters within one camera, and equal words, stand for equal sizes."""
 MOST_UNKNOWN = 4
 """Most unknown keys of one map that an error message names."""
 VECTORS = {
     "pose_tcp_in_base": "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None",
-    "joint": "a list or array of 7 numbers, one for each joint, or None",
+    "joint": "a list or array of numbers, one for each joint, or None",
     "wrench_in_tcp": "a list or array of 6 numbers (force [N], torque [N m]) or None",
 }
 """Fields of an action that are arrays -> what each must be."""
@@ -65,8 +65,9 @@ def encode_observation(observation: Observation) -> Plain:
 def decode_observation(plain: object) -> Observation:
     """Decode an observation. Raises ObservationError naming the field, what was expected and what came instead."""
     entries = _known(plain, Observation, "observation", ObservationError)
-    for name in OBSERVATION_ARRAYS:
-        _check_array(entries[name], OBSERVATION_ARRAYS[name], f"observation.{name}", {})
+    sizes: dict[str, int] = {}
+    for name, row in OBSERVATION_ARRAYS.items():
+        _check_array(entries[name], row, f"observation.{name}", sizes)
     instruction = entries["instruction"]
     if not isinstance(instruction, str):
         _wrong(ObservationError, "observation.instruction", "text", instruction)
@@ -240,10 +241,11 @@ def decode_session(plain: object) -> Session:
         if not (width.is_integer() and height.is_integer()):
             _wrong(ContractError, f"session.camera_sizes_px.{name}", "whole pixels", size)
         cameras[name] = (int(width), int(height))
+    low = _numbers(entries["joint_low_rad"], None, "session.joint_low_rad")
     return Session(
         action_bounds=ActionBounds(**cast(dict[str, Any], limits)),
-        joint_low_rad=_numbers(entries["joint_low_rad"], 7, "session.joint_low_rad"),
-        joint_high_rad=_numbers(entries["joint_high_rad"], 7, "session.joint_high_rad"),
+        joint_low_rad=low,
+        joint_high_rad=_numbers(entries["joint_high_rad"], len(low), "session.joint_high_rad"),
         camera_sizes_px=cameras,
         time_limit_s=_number(entries["time_limit_s"], "session.time_limit_s", ContractError),
     )
@@ -302,14 +304,15 @@ def _number(value: object, place: str, error: type[ContractError]) -> float:
         raise error(f"{place}: expected a number, got one too large for 64 bits") from None
 
 
-def _numbers(value: object, count: int, place: str) -> tuple[float, ...]:
-    """Return a value as ``count`` numbers. ``value``: a tuple when encoding, a list when decoding."""
+def _numbers(value: object, count: int | None, place: str) -> tuple[float, ...]:
+    """Return a value as ``count`` numbers, or any. ``value``: a tuple when encoding, a list when decoding."""
     items: object = list(cast(tuple[object, ...], value)) if isinstance(value, tuple) else value
-    if not is_list(items) or len(items) != count:
-        _wrong(ContractError, place, f"{count} numbers", items)
+    many = "" if count is None else f"{count} "
+    if not is_list(items) or (count is not None and len(items) != count):
+        _wrong(ContractError, place, f"{many}numbers", items)
     numbers = tuple(_number(v, place, ContractError) for v in items)
     if not np.isfinite(numbers).all():
-        _wrong(ContractError, place, f"{count} finite numbers", items)
+        _wrong(ContractError, place, f"{many}finite numbers", items)
     return numbers
 
 

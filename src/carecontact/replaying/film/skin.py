@@ -11,7 +11,6 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.kernel.readings import Readings
 from carecontact.regions import REGIONS
 from carecontact.sim.true_skin import skin_in_world
@@ -70,7 +69,7 @@ class FilmSkin:
         self._corners = csr_array(
             (np.ones(len(faces)), (corners, faces)), shape=(self._place.max() + 1, len(self.faces))
         )
-        tip = EMBODIMENTS[scene.protocol.scene.tool].tip
+        tip = scene.robot.tip
         self._tip, self._half = model.geom(tip.geom).id, np.array(tip.half_m) + GAP_M
 
     def shape(self, data: mujoco.MjData, made: mujoco.MjvScene) -> tuple[F64, F64]:

@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.errors import DependencyError
 from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS
@@ -120,9 +119,10 @@ class _Writer:
         rr = self._rr
         self._log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._paths: dict[str, str] = {}
+        robot = self._model.body(self._replay.scene.robot.base_body).id
         for solid in solids(self._model, rr):
             parent = "world/room" if not solid.body else f"world/robot/{solid.body}"
-            if solid.body and not solid.body.startswith("robot"):
+            if solid.body and self._model.body(solid.body).rootid[0] != robot:
                 parent = f"world/room/{solid.body}"
             if solid.body:
                 self._paths[parent] = solid.body
@@ -161,7 +161,7 @@ class _Writer:
             at = data.cam(str(camera))
             turn = at.xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
             self._log(f"world/cameras/{camera}", rr.Transform3D(translation=at.xpos, mat3x3=turn))
-        tcp = data.site_xpos[model.site(PANDA.tcp_site).id]
+        tcp = data.site_xpos[model.site(self._replay.scene.robot.tcp_site).id]
         self._log("world/tcp", rr.Points3D([tcp], colors=[[40, 110, 160]], radii=[0.004]))
         self._send_skin()
         self._send_contact(step)

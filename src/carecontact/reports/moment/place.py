@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import EMBODIMENTS
+from carecontact.contract.embodiment import robot_of
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.recording.schema import Recording
 from carecontact.regions import REGIONS
@@ -79,10 +79,10 @@ def _flat(places: F64, radius: float) -> F64:
 def _away_from_tip(recording: Recording, moment: Moment) -> float | None:
     """Distance of the contact from the tool's tip [m]; None where the tip presses, and for a robot that this release
     does not have."""
-    tips = {row.id: row.tip for row in EMBODIMENTS.values()}
-    tip = tips.get(recording.header.embodiment)
-    if tip is None:
+    robot = robot_of(recording.header.embodiment)
+    if robot is None:
         return None
+    tip = robot.tip
     pose = recording["scorer/pose_tcp_in_world"][moment.index].astype(np.float64)
     offset = moment.centroid_in_world - pose[:3]
     from_middle = matrix_from_quat(pose[None, 3:])[0].T @ offset + [0.0, 0.0, tip.half_m[2]]

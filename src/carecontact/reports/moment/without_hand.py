@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import EMBODIMENTS
+from carecontact.contract.embodiment import robot_of
 from carecontact.contract.geometry import matrix_from_quat
 from carecontact.contract.rays import Triangles
 from carecontact.recording.schema import Recording
@@ -40,9 +40,6 @@ FACING = 0.15
 """Least cosine between the skin's normal and the direction to the viewer at which the skin can be made out."""
 OFF_SKIN_M = 0.004
 """Rays begin at this distance from the skin, so that they do not meet the triangles where they begin."""
-BOXES_M = (((0.011, 0.026, 0.022), 0.036), ((0.032, 0.102, 0.041), 0.092), ((0.045, 0.060, 0.090), 0.210))
-"""Half sides, in the hand's axes, of boxes round the robot's fingers, hand and last two links, and how far their
-middles are behind the tool centre point; measured on the meshes of the Panda."""
 FAR_M = 100.0
 """Distance of a viewer to whom all lines of sight are parallel."""
 TOOL_M = 0.06
@@ -83,7 +80,8 @@ def is_hidden(recording: Recording, moment: Moment) -> bool:
     if camera is None or found is None:
         return False
     eye = points_in_region(camera[None, :3].astype(np.float64), region_poses(recording)[moment.index][None])[0]
-    boxes = [_box(found, half_m, behind_m) for half_m, behind_m in BOXES_M]
+    robot = recording.header.spec.protocol.scene.robot
+    boxes = [_box(found, half_m, behind_m) for half_m, behind_m in robot.hand_boxes_m]
     in_the_way = np.concatenate([_near(found), *boxes])
     return _share_seen(Triangles(in_the_way), found, eye - found.ring) < CLEAR
 
@@ -201,9 +199,10 @@ def _draw_tip(drawing: Drawing, recording: Recording, found: _Round, turn: F64, 
     back = found.tcp - TOOL_M * found.hand[:, 2]
     (x0, y0), (x1, y1) = frame.px(np.array([found.tcp, back]) @ turn.T, 1).tolist()
     drawing.path("tool", f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
-    tip = {row.id: row.tip for row in EMBODIMENTS.values()}.get(recording.header.embodiment)
-    if tip is None:
+    robot = robot_of(recording.header.embodiment)
+    if robot is None:
         return
+    tip = robot.tip
     middle = found.tcp - tip.half_m[2] * found.hand[:, 2]
     # The outline of a unit sphere that a matrix maps onto a plane is an ellipse: the image of a circle by U S.
     u, s, _ = np.linalg.svd((turn @ found.hand @ np.diag(tip.half_m))[:2])

@@ -13,7 +13,6 @@ from carecontact.trials.finding import Finding
 
 F64 = npt.NDArray[np.float64]
 
-JOINTS, WIDTH = 7, 8
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 NEARER = 0.5
 """Numbers look like targets if they are nearer to the joint angles than to zero by this factor, and the reverse."""
@@ -34,7 +33,7 @@ def numbers_of(actions: Sequence[Action]) -> F64:
 
 
 def joints_of(actions: Sequence[Action]) -> F64 | None:
-    """Return the joint values (steps, 7) of actions; None if an action has none."""
+    """Return the joint values (steps, joints) of actions; None if an action has none."""
     given = [action.joint for action in actions]
     return None if any(joint is None for joint in given) else np.array(given, np.float64)
 
@@ -44,7 +43,7 @@ def table(values: F64, *, now: F64, kind: str) -> list[str]:
 
     Args:
         values: (steps, columns).
-        now: (7,) present joint angles [rad].
+        now: (joints,) present joint angles [rad].
         kind: ``joints``, or ``poses`` for poses of the tool.
     """
     lines: list[str] = []
@@ -52,13 +51,13 @@ def table(values: F64, *, now: F64, kind: str) -> list[str]:
         known = column[np.isfinite(column)]
         span = f"{known.min():9.3f} to {known.max():9.3f}" if known.size else "no number"
         wrong = f"; {column.size - known.size} of {column.size} are not finite" if known.size < column.size else ""
-        angle = f"; the angle is {now[i]:.3f} rad" if kind == "joints" and i < JOINTS else ""
-        lines.append(f"{_name(i, kind):16}{span}{angle}{wrong}")
+        angle = f"; the angle is {now[i]:.3f} rad" if kind == "joints" and i < len(now) else ""
+        lines.append(f"{_name(i, kind, len(now)):16}{span}{angle}{wrong}")
     return lines
 
 
 def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[Finding]:
-    """Yield warnings about finite joint commands (steps, 7) of an action space; ``now`` (7,) are the angles [rad]."""
+    """Yield warnings about finite joint commands (steps, joints) of an action space; ``now``: the angles [rad]."""
     largest = float(np.abs(joints).max())
     from_now, from_zero = float(np.sqrt(((joints - now) ** 2).mean())), float(np.sqrt((joints**2).mean()))
     near = f"the actions differ from the joint angles by {from_now:.2f} and from zero by {from_zero:.2f} on average"
@@ -128,10 +127,10 @@ def _warning(topic: str, text: str) -> Finding:
     return Finding(level="warning", topic=topic, text=text)
 
 
-def _name(column: int, kind: str) -> str:
+def _name(column: int, kind: str, joints: int) -> str:
     if kind == "poses":
         return POSE[column]
-    known = [*(f"joint {i + 1}" for i in range(JOINTS)), "gripper"]
+    known = [*(f"joint {i + 1}" for i in range(joints)), "gripper"]
     return known[column] if column < len(known) else f"column {column + 1}, unknown"
 
 

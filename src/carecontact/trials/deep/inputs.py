@@ -79,7 +79,7 @@ def _candidates(card: PolicyCard, session: Session, *, joints_needed: bool) -> I
     )  # fmt: skip
     yield Input(
         name="joint velocities", needed=False,
-        blank=lambda seen: replace(seen, joint_velocity=np.full(7, MOVING_RAD_S)),
+        blank=lambda seen: replace(seen, joint_velocity=np.full_like(seen.joint_velocity, MOVING_RAD_S)),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from carecontact.contract.policy import PolicyCard
 from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
 from carecontact.hosting.conversation import PolicyConversation
+from carecontact.hosting.dialects.chunks import JOINTS, WIDTH
 from carecontact.hosting.remote import HIDDEN
 from carecontact.hosting.setup import PolicySetup
 from carecontact.trials.deep import columns, messages
@@ -96,7 +97,7 @@ class DeepCheck:
         """Report what was sent and what came back."""
         self._request()
         chunk = None if self._answer is None else messages.chunk_of(self._answer, self._scheme)
-        joints = columns.joints_of(actions) if chunk is None else chunk[:, : columns.JOINTS]
+        joints = columns.joints_of(actions) if chunk is None else chunk[:, :JOINTS]
         card, count = self._known, len(actions) if chunk is None else len(chunk)
         executed = "all of them are" if count == len(actions) else f"the first {len(actions)} are"
         seconds = len(actions) / card.control_hz
@@ -110,7 +111,7 @@ class DeepCheck:
         self._columns(joints if chunk is None else chunk, observation, kind="joints")
         for found in columns.look_at_joints(joints, space=card.action_space, now=observation.joint_position):
             self._say(found)
-        if chunk is not None and chunk.shape[1] > columns.JOINTS and self._scheme != "vla-eval":
+        if chunk is not None and chunk.shape[1] > JOINTS and self._scheme != "vla-eval":
             for found in columns.look_at_gripper(chunk[:, -1]):
                 self._say(found)
 
@@ -199,7 +200,7 @@ class DeepCheck:
 
     def _columns(self, values: F64, observation: Observation, *, kind: str) -> None:
         steps, width = values.shape
-        more = f"; expected {columns.WIDTH}, seven joints and the gripper" if width > columns.WIDTH else ""
+        more = f"; expected {WIDTH}, seven joints and the gripper" if width > WIDTH else ""
         shape = f"{steps} step{'' if steps == 1 else 's'} of {width} columns{more}"
         lines = columns.table(values, now=observation.joint_position, kind=kind)
         self._found("ok", "columns", "\n".join([shape, *lines]))
@@ -210,7 +211,7 @@ class DeepCheck:
 
     def _polarity(self, plain: Sequence[F64], effects: Sequence[Effect]) -> None:
         told = [effect for effect in effects if effect.input.is_gripper and effect.answers]
-        if self._scheme not in ("openpi", "roboarena") or not told or plain[0].shape[1] <= columns.JOINTS:
+        if self._scheme not in ("openpi", "roboarena") or not told or plain[0].shape[1] <= JOINTS:
             return
         closed, opened = (np.concatenate([chunk[:, -1] for chunk in chunks]) for chunks in (plain, told[0].answers))
         for found in columns.look_at_polarity(closed, opened):

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from carecontact.contract.embodiment import PANDA
+from carecontact.contract.embodiment import EMBODIMENTS
 from carecontact.validation.result import Array
 
 STEEPEST = 4.0
@@ -69,5 +69,5 @@ def disc(radius_m: float) -> Tool:
     return Tool(name=f"disc {1000 * radius_m:.1f} mm", shape="disc", semi_axes_m=(radius_m, radius_m, edge))
 
 
-CAP = Tool(name="cap", shape="ellipsoid", semi_axes_m=PANDA.tip.half_m)
+CAP = Tool(name="cap", shape="ellipsoid", semi_axes_m=EMBODIMENTS["caps"].tip.half_m)
 """The shipped tool: an ellipsoid, wider across the limb than along it."""

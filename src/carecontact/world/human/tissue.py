@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
 from carecontact.contract.protocol import Tissue
 from carecontact.kernel.region import LOCK, Mesh, add_region
 from carecontact.regions import REGIONS, Tube
@@ -71,7 +70,7 @@ class DeclaredCells:
 
 
 def add_tissue(
-    spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str = PANDA.base_body,
+    spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str,
     tip: str = "", ledger: bool = False, on: str | None = None, floor: str | None = None,
 ) -> SoftRegion:  # fmt: skip
     """Add shell and bone core of one region. Call it after the skeleton.

@@ -9,7 +9,7 @@ from carecontact.contract.session import Session
 
 
 def _check(action: Action, session: Session) -> Action:
-    joint = None if action.joint is None else joints_of(action, "1 is 0.2 rad in one control period")
+    joint = None if action.joint is None else joints_of(action, session, "1 is 0.2 rad in one control period")
     return Action(joint=joint, gripper=check_gripper(action.gripper), done=bool(action.done))
 
 
