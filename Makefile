@@ -29,7 +29,7 @@ test-slow: env ## run the long simulations, Ray among them (the extra cluster, 2
 
 test-grounded-sam: env ## test the segmenter on tiny random models, in .venv-torch (5 GB)
 	UV_PROJECT_ENVIRONMENT=.venv-torch .venv-uv/bin/uv sync --frozen --quiet --extra grounded-sam --python $(BIN)/python
-	.venv-torch/bin/python -m pytest -m torch tests/observation/test_grounded_sam.py
+	.venv-torch/bin/python -m pytest -m torch tests/sensing/test_grounded_sam.py
 
 strength: env ## plant known faults in copies of the tree and count those that the tests see (an hour on 2 cores)
 	$(BIN)/python tools/strength.py --jobs 2
@@ -46,5 +46,5 @@ docs: env ## build the website of the documentation into build/site
 
 clean: ## remove what the other targets made, runs/demo included
 	rm -rf .venv .venv-uv .venv-torch build dist runs/demo .pytest_cache .ruff_cache .import_linter_cache .hypothesis
-	rm -f src/carecontact/kernel/libcarecontact_kernel.*
+	rm -f src/carecontact/tissue/libcarecontact_kernel.*
 	find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

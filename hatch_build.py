@@ -33,6 +33,6 @@ class KernelBuildHook(BuildHookInterface):
         else:
             library = build / "kernel" / platform / target.library
             compile_kernel(library, platform, cache=build / "zig")
-            build_data["force_include"][str(library)] = f"carecontact/kernel/{target.library}"
+            build_data["force_include"][str(library)] = f"carecontact/tissue/{target.library}"
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{target.tag}"

@@ -21,9 +21,9 @@ from statistics import median
 
 import numpy as np
 
-from carecontact.contract.observation import Observation
-from carecontact.hosting.opening import open_policy
-from carecontact.hosting.setup import PolicySetup
+from carecontact.interface.observation import Observation
+from carecontact.serving.conversation import PolicySetup
+from carecontact.serving.opening import open_policy
 from some_session import SESSION
 
 SEEN = Observation(

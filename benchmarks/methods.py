@@ -22,12 +22,12 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Protocol
-from carecontact.contract.session import ActionBounds, Session
-from carecontact.episode.first_look import first_look
+from carecontact.episode.episode import first_look
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.robot import ActionBounds, Session
 from carecontact.policies.voxposer.policy import VoxPoser
-from carecontact.protocols import load_protocol
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import Protocol
 
 AIM = {"voxposer_planning_call_s": 2.0, "140_trials_min": {"state-machine": 10, "voxposer": 25}}
 TRIALS, CORES = 140, 2

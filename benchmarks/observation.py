@@ -19,11 +19,11 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from carecontact.contract.observation import MODALITIES
-from carecontact.contract.policy import PolicyCard
-from carecontact.observation.builder import IMAGES_FOR, ObservationBuilder
-from carecontact.observation.keypoints import MediaPipePose
-from carecontact.protocols import load_protocol
+from carecontact.interface.observation import MODALITIES
+from carecontact.interface.policy import PolicyCard
+from carecontact.protocol.load import load_protocol
+from carecontact.sensing.builder import IMAGES_FOR, ObservationBuilder
+from carecontact.sensing.keypoints import MediaPipePose
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene

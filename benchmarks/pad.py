@@ -18,12 +18,12 @@ import time
 import mujoco
 import numpy as np
 
-from carecontact.contract.embodiment import PANDA
-from carecontact.protocols import load_protocol
-from carecontact.validation.passive_response import lock_arm
-from carecontact.validation.rig import PAD
-from carecontact.validation.smoothness import scrub
-from carecontact.validation.subject import Subject
+from carecontact.interface.robot import PANDA
+from carecontact.lab.validation.passive_response import lock_arm
+from carecontact.lab.validation.rig import PAD
+from carecontact.lab.validation.smoothness import scrub
+from carecontact.lab.validation.subject import Subject
+from carecontact.protocol.load import load_protocol
 from carecontact.world.scene import Scene, build_scene
 
 REGIONS = ("forearm", "upper_arm", "abdomen")

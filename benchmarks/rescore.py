@@ -26,15 +26,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the synthetic re
 
 from tests.scoring.synthetic import SEGMENTS, back_and_forth, make_recording, seconds, target_segment
 
-from carecontact.cli.rescoring import processes
+from carecontact.cli.score import processes
 from carecontact.recording import Recording, read_recording, write_recording
-from carecontact.recording.canonical import canonical_digest, header_json
+from carecontact.recording.file import canonical_digest, header_json
 from carecontact.runs import score_run, write_scores
 from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
-from carecontact.scoring.metrics.c3_success import judge, measure
-from carecontact.scoring.validity.streams import check_streams
+from carecontact.scoring.metrics.success import judge, measure
+from carecontact.scoring.validity import check_streams
 from carecontact.scoring.verdict import reach_verdict
 
 TASKS = ("T1", "T2", "T3", "T4", "T5", "T6", "T7")

@@ -1,6 +1,6 @@
 """What a policy is told of a trial, for benchmarks that start policies without one."""
 
-from carecontact.contract.session import ActionBounds, Session
+from carecontact.interface.robot import ActionBounds, Session
 
 SESSION = Session(
     action_bounds=ActionBounds(

@@ -24,11 +24,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from carecontact.contract.geometry import matrix_from_quat
-from carecontact.contract.protocol import Protocol
-from carecontact.protocols import FAST_DT_S, load_protocol, overridden
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.interface.regions import REGIONS as REGION_ROWS
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import FAST_DT_S, overridden
+from carecontact.protocol.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
-from carecontact.regions import REGIONS as REGION_ROWS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene
 

@@ -28,7 +28,7 @@ ASKED = {"policy": "zero-action", "task": "T1", "time_limit_s": 1}
 SPECS = """
 import json, os, resource, sys, time
 from pathlib import Path
-from carecontact.protocols import load_protocol, overridden
+from carecontact.protocol.load import load_protocol; from carecontact.protocol.overrides import overridden
 from carecontact.runs.plan import plan_trials
 rules = overridden(load_protocol(), {"phases.time_limit_s": %(time_limit_s)d})
 def specs(count):
@@ -39,7 +39,7 @@ def cpu_s():
 folder, count, jobs = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 """
 SUITE = """
-from carecontact.trials.supervisor import run_trials
+from carecontact.running.supervisor import run_trials
 run_trials(specs(1), out=folder / "first", jobs=1)  # settles the person and fills the caches
 began, used = time.perf_counter(), cpu_s()
 run_trials(specs(count), out=folder / "suite", jobs=jobs)
@@ -47,7 +47,7 @@ print(json.dumps([time.perf_counter() - began, (cpu_s() - used) / count]))
 """
 WARM = """
 from carecontact.recording import write_recording
-from carecontact.trials.trial import run_trial
+from carecontact.running.trial import run_trial
 for number, spec in enumerate([*specs(1), *specs(count)]):
     write_recording(run_trial(spec), folder / f"{number}.h5")
     if number == 0:
@@ -62,8 +62,8 @@ shutil.copy("{}/%s-s%03d.h5" % (asked["spec"]["task_id"], asked["spec"]["seed"])
 COPY = f"""
 import subprocess
 from carecontact.recording import write_recording
-from carecontact.trials.supervisor import run_trials
-from carecontact.trials.trial import run_trial
+from carecontact.running.supervisor import run_trials
+from carecontact.running.trial import run_trial
 for spec in specs(count):
     write_recording(run_trial(spec), folder / f"{{spec.trial_id}}.h5")
 script = folder / "copy.py"

@@ -28,23 +28,23 @@ from pathlib import Path
 import numpy as np
 
 from carecontact.audit.wall_time import Separation, Times, separation, times_of
-from carecontact.contract.action import MAX_CHUNK
-from carecontact.contract.observation import CameraView, Observation
-from carecontact.hosting.opening import open_policy
-from carecontact.hosting.setup import PolicySetup
-from carecontact.hosting.wire.messages import act_message
-from carecontact.protocols import load_protocol
+from carecontact.interface.action import MAX_CHUNK
+from carecontact.interface.observation import CameraView, Observation
+from carecontact.protocol.load import load_protocol
 from carecontact.recording import Recording, read_recording
+from carecontact.running.pace import PACED, Pace
+from carecontact.running.supervisor import run_trials
 from carecontact.runs.plan import parse_tasks, plan_trials
-from carecontact.trials.pace import PACED, Pace
-from carecontact.trials.supervisor import run_trials
+from carecontact.serving.codec import act_message
+from carecontact.serving.conversation import PolicySetup
+from carecontact.serving.opening import open_policy
 from some_session import SESSION
 
 POLICY = """
 import json, os, time
 import numpy as np
-from carecontact.contract.action import Action
-from carecontact.contract.policy import PolicyCard
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
 
 class OneByOne:
     def __init__(self, *, folder: str, cameras: str):

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.observation import CameraView, Observation
-from carecontact.hosting.opening import open_policy
-from carecontact.hosting.setup import PolicySetup
+from carecontact.interface.observation import CameraView, Observation
+from carecontact.serving.conversation import PolicySetup
+from carecontact.serving.opening import open_policy
 from some_session import SESSION
 
 SERVER = Path(__file__).parents[1] / "examples" / "openpi_server.py"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from carecontact.contract.action import Action
-from carecontact.contract.policy import PolicyCard
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
 
 
 class MyPolicy:

@@ -5,13 +5,13 @@ Nothing hides the simulation from a policy that runs in the same process, so rep
 
 from my_policy import MyPolicy
 
-from carecontact.contract.action import Action
-from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
-from carecontact.hosting.wire.messages import observation_sha256
-from carecontact.protocols import load_protocol
+from carecontact.interface.action import Action
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording
 from carecontact.scoring import score_recording
+from carecontact.serving.codec import observation_sha256
 
 
 def run(spec: TrialSpec, policy: MyPolicy) -> Recording:

@@ -9,10 +9,10 @@ from this folder. It is also an example of a policy that wraps another one.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from carecontact.contract.action import Action
-from carecontact.contract.observation import Observation
-from carecontact.contract.session import Session
-from carecontact.policies.state_machine.policy import StateMachine
+from carecontact.interface.action import Action
+from carecontact.interface.observation import Observation
+from carecontact.interface.robot import Session
+from carecontact.policies.state_machine import StateMachine
 
 LOWERED_OVER = 10
 """Actions over which the first targets are lowered, so that the robot does not start with a jump; one second."""

@@ -18,7 +18,7 @@ settings.register_profile("search", deadline=None, max_examples=500)
 settings.load_profile("repeatable")
 
 if TYPE_CHECKING:
-    from carecontact.contract.protocol import Protocol
+    from carecontact.protocol.protocol import Protocol
     from carecontact.world.scene import Scene
 
 
@@ -61,7 +61,7 @@ def described_once(build_spec: Callable[..., Any]) -> Callable[..., Any]:
 @pytest.fixture(params=["", "off"], ids=["namespaces", "no namespaces"])
 def sandbox(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
     """Whether policies run in namespaces: both kinds of systems, as far as this one grants namespaces."""
-    from carecontact.hosting.isolation.namespaces import VARIABLE, granted
+    from carecontact.serving.namespaces import VARIABLE, granted
 
     monkeypatch.setenv(VARIABLE, request.param)
     if not request.param and not granted():
@@ -80,7 +80,7 @@ def worlds_from_scratch(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def scene_of() -> Callable[[str | None], Scene]:
     """Target region -> the compiled scene of the default protocol with the visible skin; read only, built once."""
-    from carecontact.protocols import load_protocol
+    from carecontact.protocol.load import load_protocol
     from carecontact.world.scene import build_scene
 
     return cache(lambda target: build_scene(load_protocol(), target=target))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -31,7 +33,7 @@ def test_the_drawing_names_packages_that_there_are() -> None:
     drawing = PAGE.split("```")[1]
     named = set(re.findall(r"\b([a-z_]+)/", drawing))
     assert named <= set(PACKAGES)
-    assert {"protocols", "episode", "policies", "hosting", "recording", "scoring", "reports"} <= named
+    assert {"protocol", "episode", "policies", "serving", "recording", "scoring", "report"} <= named
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -39,3 +41,59 @@ def test_a_package_says_in_one_sentence_what_lives_there(package: str) -> None:
     docstring = ast.get_docstring(ast.parse((PACKAGE / package / "__init__.py").read_text()))
     assert docstring is not None
     assert re.findall(r"[.!?](?=\s|$)", docstring) == ["."], docstring
+
+
+# What must not be loaded: the walls that import-linter draws, seen from a running interpreter.
+
+NO_SIMULATOR = ("scoring", "stats", "recording", "interface", "protocol", "policies", "report")
+HEAVY = {"numpy", "scipy", "pydantic", "matplotlib", "h5py", "jinja2", "mujoco", "mediapipe", "cv2", "websockets"}
+
+
+def loaded_after(code: str) -> set[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys\nprint(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(done.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("package", NO_SIMULATOR)
+def test_no_module_of_the_package_loads_the_simulator(package: str) -> None:
+    loaded = loaded_after(
+        "import importlib, pkgutil\n"
+        f"package = importlib.import_module('carecontact.{package}')\n"
+        "for module in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):\n"
+        "    if not module.name.endswith('__main__'):\n"
+        "        importlib.import_module(module.name)"
+    )
+    assert f"carecontact.{package}" in loaded
+    assert not loaded & {"mujoco", "mediapipe", "carecontact.world", "carecontact.sim"}
+
+
+def test_the_test_sees_a_simulator_that_is_loaded() -> None:
+    assert "mujoco" in loaded_after("import mujoco")
+
+
+def test_help_loads_nothing_heavy() -> None:
+    loaded = loaded_after(
+        "from carecontact.cli import main\ntry:\n    main(['run', '--help'])\nexcept SystemExit:\n    pass"
+    )
+    assert "carecontact.cli.run" in loaded
+    assert not loaded & {"carecontact.cli.serve", "carecontact.cli.compare"}, "only the command that is called"
+    assert not loaded & HEAVY
+
+
+def test_the_list_of_commands_loads_nothing_heavy() -> None:
+    loaded = loaded_after("from carecontact.cli import main\ntry:\n    main([])\nexcept SystemExit:\n    pass")
+    assert {"carecontact.cli.run", "carecontact.cli.serve", "carecontact.cli.compare"} <= loaded
+    assert not loaded & HEAVY
+
+
+def test_scoring_and_reporting_commands_load_no_simulator() -> None:
+    loaded = loaded_after(
+        "import carecontact.cli.score, carecontact.scoring, carecontact.report, carecontact.cli.run, "
+        "carecontact.cli.compare, carecontact.report.comparison"
+    )
+    assert not loaded & {"mujoco", "mediapipe"}

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.contract.protocol import BEHAVIOURS
 from carecontact.errors import ConfigError
-from carecontact.policies.language.rules import Rules
+from carecontact.interface.regions import REGIONS
+from carecontact.policies.language.backend import Rules
 from carecontact.policies.registry import POLICIES
-from carecontact.protocols import load_protocol
+from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.load import load_protocol
 from carecontact.recording import read_recording, write_recording
-from carecontact.regions import REGIONS
 from carecontact.runs import score_run
 from carecontact.scoring import METRICS
 from tests.installed import look_again, write_package
@@ -24,8 +24,8 @@ FILES = {
     "faulty_syntax": "def (:\n",
     "faulty_import": "import nothing_of_this_name\n",
     "faulty_hand": "HAND = 'right_hand'\n",
-    "faulty_region": "from carecontact.regions import Region\nSHIN = Region(segment='left_shank')\n",
-    "faulty_action": ("from carecontact.behaviours import Behaviour\nclass Tap(Behaviour): pass\nTAP = Tap\n"),
+    "faulty_region": "from carecontact.interface.regions import Region\nSHIN = Region(segment='left_shank')\n",
+    "faulty_action": ("from carecontact.scoring.actions import Behaviour\nclass Tap(Behaviour): pass\nTAP = Tap\n"),
 }
 POINTS = {
     "behaviours": {"poor_tap": "faulty_action:TAP", "poor_knock": "faulty_syntax:KNOCK"},

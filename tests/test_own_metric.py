@@ -14,7 +14,7 @@ import carecontact
 from carecontact.recording import read_recording, write_recording
 from tests.scoring.synthetic import make_recording, touch
 
-FILE = """
+OWN_METRIC_FILE = """
 from carecontact.scoring import metric
 from carecontact.scoring.contact import Contact
 
@@ -42,7 +42,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str
         write_recording(make_recording("T1", seed=3, policy=name), folder / name / "T1-s003.h5")
     site = folder / "site"
     (site / "touch_metrics-1.0.dist-info").mkdir(parents=True)
-    (site / "touch_metrics.py").write_text(FILE)
+    (site / "touch_metrics.py").write_text(OWN_METRIC_FILE)
     (site / "touch_metrics-1.0.dist-info" / "METADATA").write_text(
         "Metadata-Version: 2.1\nName: touch-metrics\nVersion: 1.0\n"
     )

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="what the kernel
 
 
 def said(code: str, *arguments: str) -> str:
-    code = f"import os, sys\nfrom carecontact.own_process import *\n{code}"
+    code = f"import os, sys\nfrom carecontact.system import *\n{code}"
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False).stdout
 
 

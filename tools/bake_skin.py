@@ -16,9 +16,8 @@ from pathlib import Path
 
 import cv2
 
-from carecontact.world.human.appearance import fine_paint
-from carecontact.world.human.library import body_names, load_body
-from carecontact.world.human.skin import GREY, Appearance
+from carecontact.human.library import body_names, load_body
+from carecontact.human.skin import GREY, Appearance, fine_paint
 
 LIGHT, BROWN, DARK, PINK = (214, 164, 134), (168, 118, 88), (116, 78, 58), (226, 178, 156)
 WHITE = (206, 204, 200)

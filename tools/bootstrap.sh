@@ -62,7 +62,7 @@ import hashlib, os, sys
 names = ("uv.lock", "pyproject.toml")
 print(sys.version_info[:3], os.getcwd(), *(hashlib.sha256(open(name, "rb").read()).hexdigest() for name in names))')"
 complete() { [ -x "$VENV/bin/python" ] && [ "$(cat "$STAMP" 2>/dev/null)" = "$wanted" ]; }
-tissue_fault() { "$PYTHON" src/carecontact/kernel/binary.py 2>&1; }
+tissue_fault() { "$PYTHON" src/carecontact/tissue/binary.py 2>&1; }
 if complete && tissue_fault >/dev/null; then
     exit 0
 fi

@@ -1,4 +1,4 @@
-"""Compiles the C sources of the tissue (src/carecontact/kernel/c) with the package ziglang, for any platform.
+"""Compiles the C sources of the tissue (src/carecontact/tissue/c) with the package ziglang, for any platform.
 
 The build of the package does this (hatch_build.py). It needs `ziglang` and MuJoCo's headers in the running Python.
 """
@@ -20,9 +20,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def load_binary(root: Path) -> ModuleType:
-    """`carecontact.kernel.binary` without the package, whose dependencies a build does not have."""
+    """`carecontact.tissue.binary` without the package, whose dependencies a build does not have."""
     spec = importlib.util.spec_from_file_location(
-        "carecontact_kernel_binary", root / "src" / "carecontact" / "kernel" / "binary.py"
+        "carecontact_kernel_binary", root / "src" / "carecontact" / "tissue" / "binary.py"
     )
     assert spec is not None
     assert spec.loader is not None

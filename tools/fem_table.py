@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from carecontact.validation import fem
-from carecontact.validation.fem.cases import CASES
-from carecontact.validation.fem.compare import judged
-from carecontact.validation.fem.table import FILE, as_text
+from carecontact.lab import fem
+from carecontact.lab.fem.cases import CASES
+from carecontact.lab.fem.compare import FILE, as_text, judged
 
 
 def main() -> None:

@@ -7,14 +7,14 @@
 The bone is held; a rigid indenter moves along the surface normal at 5 mm/s, as in the reference trials, at several
 places of the patch (carecontact.sim.bench); the law a x + b x^2 + c x^3 per area is found by least squares on the mean
 curve, with damping at three times critical. Prints the numbers of the row of the set's file under
-src/carecontact/protocols/tissue, and how far the response is from the curve at the fit's places and at others.
+src/carecontact/protocol/tissue, and how far the response is from the curve at the fit's places and at others.
 ``--check`` reports the shipped numbers without fitting. The shipped rows were fitted with a contact layer that was
 linear, the one of release 0.1.0.
 
 b stays 0 where the curve's largest depth is less than what tools reach: there it would lower an error of 1 % that is
 within the reference's own uncertainty, and raise the force at 12 mm by half over the curve's own continuation.
 
-The human references are carecontact.validation.reference's; the manikin-like curves are assumed.
+The human references are carecontact.lab.validation.rig's; the manikin-like curves are assumed.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from carecontact.contract.protocol import Tissue
-from carecontact.protocols.tissue_sets import load_tissue_set, shipped_tissue_sets
-from carecontact.regions import REGIONS
+from carecontact.human.library import load_body
+from carecontact.interface.regions import REGIONS
+from carecontact.lab.validation.rig import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, Reference
+from carecontact.protocol.overrides import load_tissue_set, shipped_tissue_sets
+from carecontact.protocol.person import Tissue
 from carecontact.sim.bench import Bench, Indenter
-from carecontact.validation.reference import ABDOMEN, FOREARM, UPPER_ARM_ANTERIOR, Reference
-from carecontact.world.human.library import load_body
 
 SPEED_M_S = 0.005
 Places = list[tuple[float, float]]

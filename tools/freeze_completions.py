@@ -13,10 +13,15 @@ import json
 import tomllib
 from pathlib import Path
 
-from carecontact.policies.language.completion import Completion, CompletionRequest, Message
-from carecontact.policies.language.replay import AUTHORED, RecordedCompletion
-from carecontact.policies.language.transcript import MAX_TOKENS
-from carecontact.policies.voxposer.prompts import SETS, PromptSet
+from carecontact.policies.language.completion import (
+    AUTHORED,
+    MAX_TOKENS,
+    Completion,
+    CompletionRequest,
+    Message,
+    RecordedCompletion,
+)
+from carecontact.policies.voxposer.programs import SETS, PromptSet
 
 FOLDER = Path(__file__).resolve().parents[1] / "src/carecontact/policies/voxposer/completions"
 

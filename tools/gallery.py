@@ -13,8 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from carecontact.episode.prepare import settled_world
-from carecontact.protocols import load_levels
+from carecontact.episode.randomization import settled_world
+from carecontact.protocol.load import load_levels
 from carecontact.runs.plan import parse_seeds
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation

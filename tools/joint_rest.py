@@ -15,12 +15,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from carecontact.protocols import load_protocol, overridden
+from carecontact.human.joints import ELBOW_NEUTRAL_DEG, ELBOW_RANGE_NM_RAD, Hinge, hinges
+from carecontact.human.library import body_names, load_body
+from carecontact.human.skeleton import REACHED_RAD, cubic_nm_rad3, end_stop_nm, past_range
+from carecontact.plotting import draw_figure
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
 from carecontact.sim.simulation import Simulation
-from carecontact.validation.figures import draw_figure
-from carecontact.world.human.end_stops import REACHED_RAD, cubic_nm_rad3, end_stop_nm, past_range
-from carecontact.world.human.joints import ELBOW_NEUTRAL_DEG, ELBOW_RANGE_NM_RAD, Hinge, hinges
-from carecontact.world.human.library import body_names, load_body
 from carecontact.world.scene import Scene, build_scene
 
 COMFORT_ARM_DEG, DRIFT_S = 52.5, 10.0

@@ -1,4 +1,4 @@
-"""Write the JSON Schema of every line that `--json` prints, from the models in src/carecontact/cli/answers.
+"""Write the JSON Schema of every line that `--json` prints, from the models in src/carecontact/cli.
 
 python tools/json_schemas.py
 """
@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from carecontact.cli.answers.answer import schema_of
-from carecontact.cli.answers.kinds import ANSWERS, name_of
+from carecontact.cli.answers import schema_of
+from carecontact.cli.result_answers import ANSWERS, name_of
 
-FOLDER = Path(__file__).parents[1] / "src" / "carecontact" / "cli" / "answers" / "schemas"
+FOLDER = Path(__file__).parents[1] / "src" / "carecontact" / "cli" / "schemas"
 
 
 def written() -> dict[str, str]:

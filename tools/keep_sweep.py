@@ -18,9 +18,9 @@ from collections import defaultdict
 from pathlib import Path
 
 from carecontact.errors import CarecontactError
+from carecontact.runs.pooling import RunScores
 from carecontact.runs.results_file import pack_results
-from carecontact.runs.run_scores import RunScores
-from carecontact.runs.stored_scores import read_scores
+from carecontact.runs.scoring import read_scores
 
 TABLE_BEGINS, TABLE_ENDS = "<!-- table -->\n", "<!-- end of the table -->\n"
 

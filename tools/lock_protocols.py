@@ -12,9 +12,9 @@ from __future__ import annotations
 import argparse
 
 from carecontact.cli.protocol import verify
-from carecontact.protocols import load_levels, shipped_protocols
-from carecontact.protocols.lock import lock_path, read_lock, write_lock
-from carecontact.runs.freeze import make_lock
+from carecontact.protocol.load import load_levels, shipped_protocols
+from carecontact.protocol.lock import lock_path, read_lock, write_lock
+from carecontact.runs.identity import make_lock
 
 
 def main() -> None:

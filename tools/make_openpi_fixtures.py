@@ -22,7 +22,7 @@ from openpi_client import image_tools, msgpack_numpy
 
 folder = Path(sys.argv[1])
 sys.path.insert(0, sys.argv[2])
-from tests.hosting.dialects.given import SIZES, actions, metadata, picture, request
+from tests.serving.fakes import SIZES, actions, metadata, picture, request
 
 (folder / "request.bin").write_bytes(msgpack_numpy.packb(request()))
 (folder / "metadata.bin").write_bytes(msgpack_numpy.packb(metadata()))

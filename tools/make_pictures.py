@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from carecontact.protocols import load_protocol
+from carecontact.protocol.load import load_protocol
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import build_scene

@@ -14,15 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.action import Action
-from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
-from carecontact.policies.state_machine.policy import StateMachine
-from carecontact.protocols import load_protocol
+from carecontact.interface.action import Action
+from carecontact.policies.state_machine import StateMachine
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording
-from carecontact.replaying.film.frames import Film
-from carecontact.replaying.film.video import write_gif
-from carecontact.replaying.film.views import Camera
+from carecontact.replay.film import Film, write_gif
+from carecontact.replay.views import Camera
 from carecontact.scoring.contact import find_contact
 
 STIFFNESS = (1000.0, 20.0)

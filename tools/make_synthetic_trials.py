@@ -25,10 +25,10 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.protocol import Tissue
-from carecontact.protocols import load_protocol
+from carecontact.human.library import load_body
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.person import Tissue
 from carecontact.sim.bench import Bench, Indenter
-from carecontact.world.human.library import load_body
 
 HEADER = (
     "trial_id,site,subject,t_s,indentation_mm,force_N,phase,speed_mm_s,indenter_shape,indenter_size_mm,preload_N,"

@@ -14,13 +14,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from carecontact.contract.protocol import Protocol
-from carecontact.episode.prepare import settled_world
+from carecontact.episode.randomization import settled_world
 from carecontact.oracle.truth import Truth
-from carecontact.policies.mean_person import person
-from carecontact.policies.mean_person.person import MeanPerson, MeanRegion
-from carecontact.policies.state_machine.primitives import travel_height
-from carecontact.protocols import load_protocol
+from carecontact.policies import mean_person
+from carecontact.policies.mean_person import MeanPerson, MeanRegion
+from carecontact.policies.state_machine import travel_height
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import Protocol
 from carecontact.runs.plan import parse_seeds
 from carecontact.sim.simulation import Simulation
 
@@ -33,7 +33,8 @@ def main() -> None:
     parser.add_argument("--protocol", required=True)
     parser.add_argument("--level", default="", help="level of a protocol that has several")
     parser.add_argument("--seeds", default="all")
-    parser.add_argument("--out", type=Path, default=Path(person.__file__).parent / person.FILE)
+    shipped = Path(mean_person.__file__).parent / "data" / "mean_person"
+    parser.add_argument("--out", type=Path, default=shipped / mean_person.FILE)
     given = parser.parse_args()
     protocol = load_protocol(given.protocol, level=given.level) if given.level else load_protocol(given.protocol)
     seeds = parse_seeds(given.seeds, protocol=protocol)

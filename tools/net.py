@@ -40,7 +40,7 @@ DRAFTS = ("bathing-v3-draft", "bathing-droid-draft", "bathing-wide-v2-draft:L1",
 SALTED = "bathing-wide-v2-draft:L3"
 SALT = "0" * 32
 HEADER, CHECKSUM = "header_json", "sha256"
-KERNEL = Path("src/carecontact/kernel")
+KERNEL = Path("src/carecontact/tissue")
 
 
 def main(arguments: list[str] | None = None) -> int:

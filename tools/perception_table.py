@@ -25,22 +25,23 @@ import mujoco
 import numpy as np
 
 import carecontact
-from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Protocol, Variation
 from carecontact.episode.perception import PerceptionLog, middle_share, true_target
-from carecontact.episode.randomization import comfort_arm_deg, dress, sensor_noise, streams
-from carecontact.observation.builder import ObservationBuilder
-from carecontact.observation.keypoints import KeyPoints, MediaPipePose
-from carecontact.protocols import load_protocol, overridden
-from carecontact.recording.perception import JOINTS
-from carecontact.regions import STANDARD_REGIONS
+from carecontact.episode.randomization import comfort_arm_deg, randomize_appearance, sensor_noise, settle, streams
+from carecontact.human.library import body_names
+from carecontact.human.skin import SKIN_TONES, draw_appearance
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.regions import STANDARD_REGIONS
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.sections import Variation
+from carecontact.recording.notes import JOINTS
+from carecontact.sensing.builder import ObservationBuilder
+from carecontact.sensing.keypoints import KeyPoints, MediaPipePose
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.settled import settle
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, pointing_down
-from carecontact.world.human.appearance import SKIN_TONES, draw_appearance
-from carecontact.world.human.library import body_names
 from carecontact.world.scene import build_scene
 
 Row = dict[str, Any]
@@ -56,9 +57,8 @@ LANDMARK_PX, IOU_MEAN, IOU_MIN, TARGET_MM, TARGET_P95_MM = 6.0, 0.95, 0.85, 15.0
 """The lines that the parked robot's numbers are held against."""
 BEGIN, END = "<!-- tables: tools/perception_table.py -->", "<!-- end of tables -->"
 SOURCES = (
-    "contract", "regions", "observation", "recording/perception.py", "policies/state_machine",
-    "sight", "sim", "episode/perception.py", "episode/prepare.py", "episode/randomization.py",
-    "world",
+    "interface", "protocol", "sensing", "recording", "policies/motion.py", "policies/state_machine.py", "sim", "human",
+    "tissue", "world", "episode/perception.py", "episode/randomization.py",
 )  # fmt: skip
 """Of the package, what a row depends on."""
 PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")
@@ -82,7 +82,7 @@ class Remembering:
 def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Row]:
     scene = build_scene(protocol, target="forearm")
     model, sha256 = scene.model, scene.model_sha256
-    dress(scene, seed)
+    randomize_appearance(scene, seed)
     simulation = Simulation(scene)
     settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=sha256)
     data = simulation.data

@@ -13,15 +13,15 @@ from functools import partial
 
 import numpy as np
 
-from carecontact.contract.protocol import Protocol
-from carecontact.contract.trial import TrialSpec
-from carecontact.episode.prepare import World, settled_world
-from carecontact.protocols import load_protocol, overridden
+from carecontact.episode.randomization import World, settled_world
+from carecontact.human.joints import SHOULDER_NM_RAD, SHOULDER_RANGE_NM_RAD
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.running.trial import run_trial
 from carecontact.runs.plan import parse_seeds
 from carecontact.scoring.result import TrialScore
 from carecontact.scoring.score import score_recording
-from carecontact.trials.trial import run_trial
-from carecontact.world.human.joints import SHOULDER_NM_RAD, SHOULDER_RANGE_NM_RAD
 
 TASK, POLICY = "T2", "state-machine"
 FRICTIONS = (0.15, 0.6)

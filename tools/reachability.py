@@ -22,15 +22,16 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.geometry import matrix_from_quat
-from carecontact.contract.protocol import Protocol
-from carecontact.protocols import load_protocol, overridden
+from carecontact.human.library import body_names
+from carecontact.human.pose import RIGHT_SHOULDER_M
+from carecontact.human.skeleton import body_name
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import Protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, follow, pointing_down
-from carecontact.world.human.library import body_names
-from carecontact.world.human.pose import RIGHT_SHOULDER_M
-from carecontact.world.human.skeleton import body_name
-from carecontact.world.place import Place
+from carecontact.world.randomization import Place
 from carecontact.world.scene import build_scene
 
 Array = npt.NDArray[np.float64]
@@ -324,7 +325,7 @@ def check_places(arm: Arm, protocol: Protocol, most: Place) -> bool:
 
 
 def moved(targets: Targets, place: Place) -> Targets:
-    """As ``world.place`` lays the person; it settles there as here, to 3 mm (tests/sim/test_place.py)."""
+    """As ``world.place`` lays the person; it settles there as here, to 3 mm (tests/sim/test_simulation.py)."""
     shoulder, turn = np.array([*RIGHT_SHOULDER_M, 0.0]), np.deg2rad(place.yaw_deg)
     rotation = matrix_from_quat(np.array([np.cos(turn / 2), 0, 0, np.sin(turn / 2)]))
     shift = shoulder + [place.along_m, place.across_m, 0.0]

@@ -8,7 +8,7 @@ The run has every task, with a seed on which the baselines will not be judged. T
 with a seed that no shipped protocol has:
 
     sed -e 's/^seeds = .*/seeds = [9999]/; 0,/^id/s/^id = .*/id = "replay-source"/; s/^frozen = .*/frozen = false/' \\
-        src/carecontact/protocols/bathing-v3-draft.toml > /tmp/replay.toml
+        src/carecontact/protocol/bathing-v3-draft.toml > /tmp/replay.toml
     carecontact run --policy state-machine --protocol /tmp/replay.toml --out runs/replay-source
 """
 
@@ -20,13 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.geometry import matrix_from_quat, pose_matrix
-from carecontact.contract.policy import CAMERAS
-from carecontact.policies.replay import donor
-from carecontact.protocols import load_levels, shipped_protocols
+from carecontact.interface.geometry import matrix_from_quat, pose_matrix
+from carecontact.interface.policy import CAMERAS
+from carecontact.policies import replay
+from carecontact.protocol.load import load_levels, shipped_protocols
 from carecontact.recording import read_recording
 from carecontact.recording.schema import Recording
-from carecontact.world.cameras import look_at
+from carecontact.world.scene import look_at
 
 CAMERA = "overhead"
 FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, help="of the donor, where the run has several")
     parser.add_argument("--out", type=Path, help="default: the shipped file")
     given = parser.parse_args()
-    shipped = Path(donor.__file__).parent / donor.ACTIONS
+    shipped = Path(replay.__file__).parent / "data" / "replay" / replay.ACTIONS
     # A policy that repeats a trial must not be judged on that very trial.
     every = [] if given.out else [rules for name in shipped_protocols() for rules in load_levels(name).values()]
     taken = {seed for rules in every for seed in rules.randomization.seeds}
@@ -55,10 +55,10 @@ def main() -> None:
             parser.error(f"{path}: seed {spec.seed} belongs to a shipped protocol; its own trial would be replayed")
         if source.get("seed", spec.seed) != spec.seed:
             parser.error(f"{path}: a second seed, {spec.seed}; name one with --seed")
-        if card is None or card["control_hz"] != donor.CONTROL_HZ or card["action_space"] != "cartesian_pose":
-            parser.error(f"{path}: expected poses of the tool at {donor.CONTROL_HZ:g} Hz")
+        if card is None or card["control_hz"] != replay.CONTROL_HZ or card["action_space"] != "cartesian_pose":
+            parser.error(f"{path}: expected poses of the tool at {replay.CONTROL_HZ:g} Hz")
         prompt = spec.protocol.task(spec.task_id).prompt
-        arrays[prompt], arrays[prompt + donor.CAMERA] = rows_of(recording), camera_in_base(recording)
+        arrays[prompt], arrays[prompt + replay.CAMERA_ARRAY] = rows_of(recording), camera_in_base(recording)
         source |= {"policy": spec.policy, "protocol": spec.protocol.title, "protocol_sha256": spec.protocol.sha256}
         source["seed"] = spec.seed
     if not arrays:

@@ -22,7 +22,7 @@ import lief
 from compile_kernel import ROOT, binary, mujoco_functions, mujoco_headers
 
 OLDEST_GLIBC = (2, 17)
-"""Of the wheels' tags and of the triples in carecontact.kernel.binary."""
+"""Of the wheels' tags and of the triples in carecontact.tissue.binary."""
 OLDEST_MACOS = [11, 0, 0]
 OWN = "carecontact_"
 """Every exported function's name begins with it."""
@@ -68,7 +68,7 @@ def faults_of(wheel: Path, platform: str) -> Iterator[str]:
     """What is wrong with the wheel's binary."""
     with zipfile.ZipFile(wheel) as archive:
         files = [name for name in archive.namelist() if re.search(r"\.(so|dylib|dll)$", name)]
-        if files != [f"carecontact/kernel/{binary.PLATFORMS[platform].library}"]:
+        if files != [f"carecontact/tissue/{binary.PLATFORMS[platform].library}"]:
             yield f"its binaries are {files}"
             return
         content = archive.read(files[0])

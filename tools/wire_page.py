@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from carecontact.contract.action import Action
-from carecontact.contract.observation import CameraView, Observation
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.session import ActionBounds, Session
-from carecontact.hosting.wire import codec
-from carecontact.hosting.wire.messages import CLOSE, act_message, reset_message
-from carecontact.hosting.wire.packing import is_array, is_list, is_map, pack, unpack
+from carecontact.interface.action import Action
+from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.robot import ActionBounds, Session
+from carecontact.serving import codec
+from carecontact.serving.codec import CLOSE, act_message, reset_message
+from carecontact.serving.packing import is_array, is_list, is_map, pack, unpack
 
 PAGE = Path(__file__).parents[1] / "docs" / "wire.md"
 BLOCK = re.compile(r"<!-- message: (\w+) -->\n.*?<!-- end -->", re.DOTALL)

@@ -11,10 +11,10 @@ __version__ = "0.2.0.dev0"
 # By name and not by import statements: those would be paid for by everybody, and would tie every part of the package
 # to this one. __init__.pyi tells type checkers the same.
 _OFFERED = {
-    "Run": "carecontact.programs.run",
-    "load": "carecontact.programs.run",
-    "compare": "carecontact.programs.compare",
-    "evaluate": "carecontact.programs.evaluate",
+    "Run": "carecontact.api.run",
+    "load": "carecontact.api.run",
+    "compare": "carecontact.api.run",
+    "evaluate": "carecontact.api.evaluate",
 }
 
 

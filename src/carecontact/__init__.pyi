@@ -1,6 +1,6 @@
-from carecontact.programs.compare import compare as compare
-from carecontact.programs.evaluate import evaluate as evaluate
-from carecontact.programs.run import Run as Run
-from carecontact.programs.run import load as load
+from carecontact.api.evaluate import evaluate as evaluate
+from carecontact.api.run import Run as Run
+from carecontact.api.run import compare as compare
+from carecontact.api.run import load as load
 
 __version__: str

@@ -1,15 +1,22 @@
-"""matplotlib with its own settings: MPLBACKEND and matplotlibrc files, which other programs of the user need, change no
-figure of this one and keep none from being drawn."""
+"""How figures are drawn: without a display, in one style, whatever other programs have set for matplotlib."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from carecontact.errors import ConfigError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# matplotlib with its own settings: MPLBACKEND and matplotlibrc files, which other programs of the user need, change no
+# figure of this one and keep none from being drawn.
 
 BACKEND = "MPLBACKEND"
 
@@ -49,3 +56,29 @@ def plain_figures(style: Mapping[str, Any] | None = None) -> Generator[None]:
     own = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
     with matplotlib.rc_context({**own, **(style or {})}):
         yield
+
+
+# One style for every figure, drawn without a display.
+
+# Okabe and Ito's palette: colour-blind readers can distinguish its colours, also in print.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLE = {
+    "font.size": 8, "axes.titlesize": 9, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7,
+    "ytick.labelsize": 7, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
+    "lines.linewidth": 1.3, "legend.frameon": False, "savefig.dpi": 200, "figure.constrained_layout.use": True,
+    "axes.grid": True, "grid.color": "0.9", "grid.linewidth": 0.5,
+}  # fmt: skip
+
+
+def draw_figure(draw: Callable[[Figure], None], path: Path) -> None:
+    """Call ``draw`` with a figure and write it as PNG."""
+    from cycler import cycler
+
+    with plain_figures({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        figure.savefig(path, metadata={"Software": None})

@@ -122,7 +122,7 @@ class Registry(Mapping[str, T], Generic[T]):
             return
         self._scanned = True  # before the imports: a module that looks a name up must not start the scan again
         package = import_module(self._scan)
-        for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
+        for module in sorted(m.name for m in pkgutil.iter_modules(getattr(package, "__path__", []))):
             import_module(f"{self._scan}.{module}")
 
     def _installed(self) -> dict[str, list[EntryPoint]]:

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from carecontact.audit.finding import Part
-from carecontact.audit.keyframe import Keyframe
-from carecontact.audit.watched import Watched, press
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.trial import TrialSpec
-from carecontact.hosting.wire import messages
-from carecontact.protocols import load_protocol
+from carecontact.audit.watched import Keyframe, Watched, press
+from carecontact.interface.policy import PolicyCard
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.serving import codec
 from carecontact.sim.simulation import Samples, Simulation
 
 Press = Callable[..., Watched]
@@ -22,14 +21,14 @@ BLIND = PolicyCard(name="blind")
 
 def send_a_privileged_key(monkeypatch: pytest.MonkeyPatch) -> None:
     """With every observation from now on."""
-    honest = messages.pack
+    honest = codec.pack
 
     def leaky(message: dict[str, Any]) -> bytes:
         if message["type"] == "act":
             message["observation"]["contact_force"] = 3.5
         return honest(message)
 
-    monkeypatch.setattr(messages, "pack", leaky)
+    monkeypatch.setattr(codec, "pack", leaky)
 
 
 @pytest.fixture(scope="session")

@@ -10,26 +10,29 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.audit.canary import CONTROL, audit_canary, other_hidden_values
-from carecontact.audit.derivation import audit_derivation
-from carecontact.audit.frozen import audit_frozen
-from carecontact.audit.handshake import audit_handshake, audit_start
-from carecontact.audit.keyframe import CONTROL_HZ, Keyframe
-from carecontact.audit.region import two_starts
+from carecontact.audit.hidden_values import (
+    CONTROL,
+    audit_canary,
+    audit_frozen,
+    audit_handshake,
+    audit_start,
+    other_hidden_values,
+)
+from carecontact.audit.run import audit_derivation, two_starts
 from carecontact.audit.schema import audit_schema
-from carecontact.audit.watched import Watched, press, watch
-from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.session import Session
-from carecontact.contract.trial import TrialSpec
+from carecontact.audit.watched import CONTROL_HZ, Keyframe, Watched, press, watch
 from carecontact.episode.episode import Episode
 from carecontact.episode.perception import PerceptionLog
-from carecontact.hosting import process
-from carecontact.observation.builder import ObservationBuilder
-from carecontact.recording.perception import JOINTS
-from carecontact.sim.proprioception import Proprioception
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.robot import Session
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.recording.notes import JOINTS
+from carecontact.sensing.builder import ObservationBuilder
+from carecontact.serving import process
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
+from carecontact.sim.state import Proprioception
 from tests.audit.conftest import BLIND, Press, places, send_a_privileged_key
 
 

@@ -3,12 +3,12 @@ from __future__ import annotations
 import pytest
 
 from carecontact.audit.salt import drawn_again
-from carecontact.contract.action import Action
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Alive, Repositioning
-from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
-from carecontact.protocols import load_protocol
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.person import Alive, Repositioning
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording
 
 SALT = "5a" * 32

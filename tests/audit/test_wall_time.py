@@ -12,7 +12,7 @@ import pytest
 from carecontact.audit.wall_time import Times, audit_time, separation, times_of
 from carecontact.cli import main
 from carecontact.recording import Recording, write_recording
-from carecontact.trials.pace import BETWEEN, PACED
+from carecontact.running.pace import BETWEEN, PACED
 from tests.scoring.synthetic import touch
 
 ACTS = 60

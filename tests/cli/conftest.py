@@ -1,5 +1,29 @@
 """Fixtures of other rooms that tests of commands use."""
 
-from tests.replaying.conftest import pressed, pressed_file
+from __future__ import annotations
 
-__all__ = ["pressed", "pressed_file"]
+import functools
+import sys
+from pathlib import Path
+
+import pytest
+
+import carecontact
+from carecontact.running import supervisor
+from tests.replay.conftest import pressed, pressed_file
+from tests.sensing.test_segmentation import weights
+
+__all__ = ["pressed", "pressed_file", "weights"]
+
+FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker.py"))
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
+    """Runs of the command line have workers that only write recordings."""
+    monkeypatch.setattr(supervisor, "run_trials", functools.partial(supervisor.run_trials, worker_command=FAKE))
+    monkeypatch.setenv("FAKE_LOG", str(tmp_path / "ran.txt"))
+    monkeypatch.setenv("FAKE_PLAN", "{}")
+    monkeypatch.setenv("PYTHONPATH", str(Path(carecontact.__file__).parents[1]))
+    monkeypatch.chdir(tmp_path)
+    return monkeypatch

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import subprocess
 import sys
 from contextlib import suppress
@@ -13,9 +14,9 @@ import pytest
 import carecontact as carecontact_package
 from carecontact import __version__
 from carecontact.cli import main
-from carecontact.cli.rescoring import rescore
+from carecontact.cli.score import rescore
+from carecontact.interface.regions import JOINTS, LIMB_PARTS, SEGMENTS
 from carecontact.recording import write_recording
-from carecontact.regions.anatomy import JOINTS, LIMB_PARTS, SEGMENTS
 from carecontact.scoring import METRICS
 from carecontact.scoring.limits import LIMIT_PACKS
 from tests.scoring.synthetic import touch
@@ -226,3 +227,73 @@ def test_what_a_terminal_cannot_show_is_escaped(tmp_path: Path) -> None:
         check=True,
     )
     assert done.stdout.splitlines()[1] == "\\ud800 \\xe9"
+
+
+GOES_ON = """
+import sys
+from pathlib import Path
+from carecontact.cli.console import prepare_streams
+prepare_streams()
+print("begun", flush=True)
+sys.stdin.readline()
+for stream in (sys.stdout, sys.stderr):
+    for text in ("one", "\\ud800", "x" * 100_000):
+        print(text, file=stream, flush=True)
+Path("done").touch()
+"""
+
+
+def test_a_command_outlives_its_terminal(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-c", GOES_ON], cwd=tmp_path, stdin=subprocess.PIPE, stdout=theirs, stderr=theirs
+    ) as command:
+        os.close(theirs)
+        assert os.read(ours, 100) == b"begun\r\n"
+        os.close(ours)
+        command.communicate(b"\n", timeout=60)
+    assert (command.returncode, (tmp_path / "done").exists()) == (0, True)
+
+
+# tyro draws its box with other characters where the terminal has no UTF-8; the line that comes out is the same.
+
+TOLD = {
+    ("run", "--policy", "hover"): (
+        "error: Missing from carecontact run: --out PATH; For full helptext, run: carecontact run --help\n"
+    ),
+    ("run", "a:B"): (
+        "error: no option takes a:B (did you mean --policy a:B?); Missing from carecontact run: --policy STR --out "
+        "PATH; For full helptext, run: carecontact run --help\n"
+    ),
+    ("protocol", "sho"): (
+        "error: no choice named 'sho' (did you mean 'show'?); "
+        "valid: list, show, verify, lock, feasible; For full helptext, "
+        "run carecontact protocol --help\n"
+    ),
+    (
+        "demo",
+        "--jobs",
+        "two",
+    ): "error: --jobs: expected INT, got 'two'; For full helptext, see carecontact demo --help\n",
+    ("serve", "hover", "--port", "x"): (
+        "error: --port: expected INT, got 'x'; For full helptext, see carecontact serve --help\n"
+    ),
+    ("run", "--policy", "hover", "--out", "r", "--tasks", "T1", "T2"): (
+        "error: no option takes T2 (did you mean a list with commas, such as --tasks T1,T2 or --seeds 0,1?); For full "
+        "helptext, run carecontact run --help\n"
+    ),
+    ("doctor", "x"): "error: no option takes x; For full helptext, run carecontact doctor --help\n",
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+@pytest.mark.parametrize("arguments", TOLD)
+def test_a_wrong_command_line_is_one_line_in_every_encoding(arguments: tuple[str, ...], encoding: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "carecontact", *arguments],
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stderr == TOLD[arguments]

@@ -15,7 +15,7 @@ from carecontact.cli import main
 from carecontact.recording import Failure, write_recording
 from carecontact.runs import RunScores, score_run, write_scores
 from carecontact.runs.results_file import pack_results
-from tests.reports.synthetic_run import NO_CONTACT, make_score
+from tests.report.synthetic import NO_CONTACT, make_score
 from tests.scoring.synthetic import make_recording, push, touch
 
 NAMED = '<th scope="row" class="keep">c</th>'

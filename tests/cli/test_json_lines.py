@@ -15,17 +15,17 @@ from tools.json_schemas import FOLDER, written
 
 import carecontact
 from carecontact.cli import main
-from carecontact.cli.answers.kinds import ANSWERS, name_of
-from carecontact.episode.parking import survey
-from carecontact.episode.parking.survey import Surveyed
+from carecontact.cli.result_answers import ANSWERS, name_of
+from carecontact.episode import placed_persons
+from carecontact.episode.placed_persons import PlacementSurvey
+from carecontact.lab.validation import energy
+from carecontact.lab.validation.result import CheckResult, Measure
 from carecontact.recording import write_recording
+from carecontact.running import machine, supervisor
 from carecontact.runs import score_run, write_scores
-from carecontact.trials import machine, supervisor
-from carecontact.validation import energy
-from carecontact.validation.result import CheckResult, Measure
 from tests.scoring.synthetic import make_recording, push, touch
 
-FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))
+FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker.py"))
 
 
 def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
@@ -204,11 +204,11 @@ def test_what_people_read_goes_to_standard_error(runs: Path, capsys: pytest.Capt
 def test_feasible_draws_a_map_only_where_it_is_asked_for_beside_json(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def none_fits(protocol: object, seed: int, *, salt: str = "") -> Surveyed:
-        return Surveyed(seed=seed, salt=salt, found=None, why="no base serves it")
+    def none_fits(protocol: object, seed: int, *, salt: str = "") -> PlacementSurvey:
+        return PlacementSurvey(seed=seed, salt=salt, found=None, why="no base serves it")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(survey, "survey", none_fits)
+    monkeypatch.setattr(placed_persons, "survey_placement", none_fits)
     asked = ["protocol", "feasible", "bathing-wide-v2-draft", "--level", "L2", "--seeds", "0", "--json"]
     assert main(asked) == 1
     (line,) = lines(capsys)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_stopping import _soon
-from tests.hosting.conftest import PREAMBLE
+from tests.cli.test_run import _soon
 from tests.processes import NAMESPACE, alive, described, pid_here
+from tests.serving.conftest import PREAMBLE
 
 pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="Linux has namespaces, and lets a process adopt orphans"),

@@ -11,9 +11,7 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.recording import Recording, read_recording, write_recording
-from tests.cli.test_run_and_demo import fake
 
-__all__ = ["fake"]
 WHOLE = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0-1"]
 
 

@@ -8,12 +8,22 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.contract.action import ACTION_SPACES
-from carecontact.errors import ActionError, PolicyError
-from carecontact.hosting.process import PolicyProcess
-from carecontact.hosting.setup import PolicySetup
-from tests.hosting.served import WITHOUT_WAITING
+from carecontact.cli.groups import PhysicsGroup, RulesGroup
+from carecontact.cli.parsing import parse
+from carecontact.cli.run import Run
+from carecontact.errors import ActionError, ConfigError, PolicyError
+from carecontact.interface.action import ACTION_SPACES
+from carecontact.interface.regions import REGIONS
+from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.recording import Recording, write_recording
+from carecontact.serving.conversation import PolicySetup
+from carecontact.serving.process import PolicyProcess
+from tests.installed import look_again
 from tests.policies.synthetic import SESSION, synthetic_observation
+from tests.scoring.synthetic import hold, make_recording
+from tests.serving.served import WITHOUT_WAITING
 
 POLICY = """
 import tensorfloe
@@ -118,7 +128,7 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
+    monkeypatch.setattr("carecontact.serving.opening.FIRST_PAUSE_S", WITHOUT_WAITING)
     Path("my_policy.py").write_text(POLICY)
     Path("gone.toml").write_text(HEIR.replace("bathing-v3-draft", "no.toml"))
     Path("field.toml").write_text(HEIR + "phsyics.dt_s = 0.004\n")
@@ -141,8 +151,8 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
 POSE = "[0.4, 0, 0.3, 0, 1, 0, 0]"
 SERVED = """
 import numpy as np
-from carecontact.contract.action import Action
-from carecontact.contract.policy import PolicyCard
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
 class MyPolicy:
     card = {card}
     def reset(self, instruction): ...
@@ -249,3 +259,115 @@ def test_a_missing_vision_model_stops_the_run_before_a_trial_counts(
     assert "the run stops with 0 of 1 trial done: the modalities landmarks and masks need MediaPipe" in said
     assert told in said
     assert not list(tmp_path.glob("r/*.h5"))
+
+
+# A run of another package's action, where that package is not installed any more.
+
+OUTSIDE = Path(__file__).parents[1] / "extending"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run of ``tests/extending`` that was scored and reported while it was installed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(OUTSIDE)
+        look_again(patch, BEHAVIOURS, REGIONS)
+        protocol = load_protocol(str(OUTSIDE / "holding-v1.toml"))
+        made = make_recording("T8", protocol=protocol, duration=4.0, normal={"right_hand": hold(4.0, 0.5, 3.5, 4.0)})
+        header = made.header.model_copy(update={"versions": {**made.header.versions, "outside": "1.0"}})
+        write_recording(Recording(header=header, arrays=made.arrays), tmp_path / "T8-s000.h5")
+        assert main(["score", str(tmp_path)]) == 0
+        assert main(["report", str(tmp_path)]) == 0
+    return tmp_path
+
+
+@pytest.mark.parametrize("arguments", [[], ["--rescore"]])
+def test_a_report_is_refused_and_the_old_one_stays(
+    run: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (run / "report.html").read_bytes()
+    assert main(["report", str(run), *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for words in ("T8-s000.h5", "no action named 'hold'", "recorded with outside 1.0, not installed here"):
+        assert words in line
+    assert (run / "report.html").read_bytes() == before
+
+
+def test_the_scores_stay_and_the_package_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (run / "results.json").read_bytes()
+    assert main(["score", str(run)]) == 1
+    assert "recorded with outside 1.0, not installed here" in capsys.readouterr().out
+    assert (run / "results.json").read_bytes() == before
+
+
+# ``--set FIELD=VALUE`` on the commands that choose a protocol, and the options that are short for it.
+
+COMMANDS = {
+    "run": ["--policy", "hover", "--out", "r"],
+    "look": ["--task", "T1"],
+    "validate": [],
+    "probe": [],
+    "audit": [],
+    "calibrate": ["trials.csv"],
+}
+CHANGES = {"physics.dt_s": "0.004", "gates.push.force_n": "4"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_that_chooses_rules_takes_it_more_than_once(command: str) -> None:
+    given = [part for path, value in CHANGES.items() for part in ("--set", f"{path}={value}")]
+    rules = parse([command, *COMMANDS[command], *given]).rules
+    own = load_protocol()
+    assert rules.load() == overridden(own, CHANGES)
+
+
+def test_body_tissue_fast_and_stiffness_are_short_for_it() -> None:
+    short = ["--body", "woman-old-light", "--tissue", "human-published", "--fast", "--stiffness", "200"]
+    run = parse(["run", *COMMANDS["run"], *short])
+    long = overridden(
+        load_protocol(),
+        {"person.body": "woman-old-light", "person.tissue_set": "human-published", "physics.dt_s": "0.004",
+         "impedance.translational_n_m": "200"},
+    )  # fmt: skip
+    assert run._protocol() == long
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("physics.dt_s",), r"--set physics\.dt_s: expected FIELD=VALUE"),
+        (("=3",), r"--set =3: expected FIELD=VALUE"),
+        (("physics.dt_s=0.004", "physics.dt_s=0.005"), r"--set: physics\.dt_s is replaced twice"),
+        (("person.body=man-adult",), r"--body: another option replaces person\.body"),
+        (("physics.dt_ms=4",), r"physics\.dt_ms: no field 'dt_ms' in physics .*; valid: dt_s, integrator"),
+    ],
+)
+def test_what_is_wrong_is_named(given: tuple[str, ...], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        RulesGroup(changes=given, body="woman-old-light").load()
+
+
+def test_an_option_and_a_set_of_one_field_contradict_each_other() -> None:
+    rules = RulesGroup(changes=("physics.dt_s=0.005",))
+    with pytest.raises(ConfigError, match=r"--fast: another option replaces physics\.dt_s"):
+        rules.changed(load_protocol(), **PhysicsGroup(fast=True).changes(load_protocol()))
+
+
+def test_a_run_says_what_was_set(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from carecontact.cli import main
+
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    assert main([*command, "--set", "gates.touch.duration_s=1"]) == 0
+    assert "bathing-v3-draft with gates.touch.duration_s 1" in capsys.readouterr().out
+    assert main(command) == 2, "the folder holds trials of other rules"
+
+
+def test_latency_is_an_option_of_run_in_milliseconds() -> None:
+    run = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250"])
+    assert isinstance(run, Run)
+    assert run._protocol().phases.latency_s == 0.25
+    assert run._protocol().title == "bathing-v3-draft with phases.latency_s 0.25"
+    wrong = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250", "--set", "phases.latency_s=1"])
+    assert isinstance(wrong, Run)
+    with pytest.raises(ConfigError, match=r"--latency-ms: another option replaces phases\.latency_s"):
+        wrong._protocol()

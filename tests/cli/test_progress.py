@@ -1,5 +1,10 @@
 from __future__ import annotations
 
+import json
+import os
+import re
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -9,15 +14,15 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+import carecontact
+from carecontact.cli import main
 from carecontact.cli import progress as progress_of
-from carecontact.cli.progress import progress
-from carecontact.cli.run_bar import RunBar
-from carecontact.cli.tally import Tally
+from carecontact.cli.progress import RunBar, Tally, progress
 from carecontact.recording import write_recording
 from carecontact.recording.schema import EndReason
+from carecontact.running.scorer import Scorer
+from carecontact.running.supervisor import EventKind, TrialEvent
 from carecontact.runs import score_run, write_scores
-from carecontact.trials.scorer import Scorer
-from carecontact.trials.supervisor import EventKind, TrialEvent
 from tests.scoring.synthetic import make_recording, touch
 
 
@@ -158,3 +163,156 @@ def test_eighty_columns_show_counts_and_silent_policies_whole(tmp_path: Path, sc
         "and 2 more wait for their policies",
         f"running: {' '.join(f'T1-s00{seed}' for seed in range(8))} T1-s00…",
     ]
+
+
+# A policy that crashes, hangs, is killed or answers NaN, through real trials: status, headline, traceback.
+
+SOURCES = str(Path(carecontact.__file__).parents[1])
+POLICY = """
+import os, signal, time
+import numpy as np
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
+
+class Faulty:
+    card = PolicyCard(name="faulty", modalities=("rgb",), cameras=("wrist",))
+    def reset(self, instruction): print("these were", "its last words", flush=True)
+    def act(self, observation):
+        {act}
+"""
+FAULTS = {
+    "crashing": ("raise ValueError('no grip here')", "ValueError: no grip here", 'my.py", line 11, in act'),
+    "hanging": ("time.sleep(600)", "no actions message within 4 s", 'my.py", line 11, in act'),
+    "killed": ("os.kill(os.getpid(), signal.SIGKILL)", "its process was killed by SIGKILL", ""),
+    "NaN": ("return [Action(pose_tcp_in_base=np.full(7, np.nan))]", "nan", ""),
+}
+HINT = "Look for a division by 0 or an unset value in the policy&#39;s output."
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_policy_that_fails_ends_with_status_3_and_its_traceback(tmp_path: Path, fault: str) -> None:
+    act, told, place = FAULTS[fault]
+    (tmp_path / "my.py").write_text(POLICY.replace("{act}", act))
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "carecontact", "run", "--policy", "my:Faulty", "--tasks", "T1", "--seeds", "0",
+            "--out", "r", "--fast", "--set", "phases.first_call_deadline_s=4",
+        ],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": SOURCES}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 3, done.stderr
+    assert "the policy crashed in 1 of 1 trial; logs and report.html are in r" in done.stdout
+    assert re.search(rf"^1 trial: .*{told}.*; see r/T1-s000.log$", done.stdout, re.MULTILINE)
+    assert place in done.stdout
+    assert "  | these were its last words" in done.stdout
+    assert ("  hint: Look for a division by 0" in done.stdout) == (fault == "NaN")
+    assert "safe failure: 0; unsafe success: 0; unsafe failure: 0\ncrashed: 1" in done.stdout
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "<h1>my:Faulty crashed in its only trial; nothing else can be said about it.</h1>" in page
+    label = {"crashing": "Traceback", "hanging": "Stack"}.get(fault)
+    label = f"{label} and last output" if label else "Last output"
+    assert f"<summary>{label} of T1-s000</summary>" in page
+    (shown,) = re.findall(r"<details>.*?<pre>(.*?)</pre></details>", page, re.DOTALL)
+    assert told in shown
+    assert place.replace('"', "&#34;") in shown
+    assert (HINT in page) == (fault == "NaN")
+    assert "these were its last words" in shown
+    assert ("Traceback" in shown) == (fault == "crashing")
+
+
+STARTS = {
+    "missing import": (
+        "import no_such_library",
+        "ModuleNotFoundError: No module named 'no_such_library'",
+        ['  |   File "{}/my.py", line 2, in <module>', "  |     import no_such_library"],
+    ),
+    "crash in __init__": (
+        "class Faulty:\n    def __init__(self):\n        print('loading')\n        {}['weights']",
+        "KeyError: 'weights'",
+        ["  |     {}['weights']", "  | it printed last:", "  | loading"],
+    ),
+    "sys.exit": (
+        "import sys\nprint('nothing to do')\nsys.exit(0)",
+        "SystemExit: 0",
+        ["  |     sys.exit(0)", "  | nothing to do"],
+    ),
+    "another name": (
+        "class Fault: ...",
+        "ImportError: my has no 'Faulty'; it has no class with act (did you mean my:Fault?)",
+        [],
+    ),
+    "quiet end": (
+        "import os\nprint('bye', flush=True)\nos._exit(0)",
+        "its process ended itself before it was ready, exit code 0",
+        ["  | it printed last:", "  | bye"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_a_policy_that_does_not_start_ends_with_status_2_and_its_traceback(
+    tmp_path: Path, start: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, why, lines = STARTS[start]
+    (tmp_path / "my.py").write_text(f"\n{source}\n")
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--policy", "my:Faulty", "--tasks", "T1", "--seeds", "0", "--out", "r"]) == 2
+    first, *more = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"error: --policy my:Faulty does not start (looked in {tmp_path} first): {why}; `carecontact check` shows all "
+        "of it"
+    )
+    place = str(tmp_path)
+    assert [line for line in lines if line.replace("{}/", f"{place}/") not in more] == []
+    assert bool(more) == bool(lines)
+    assert not [line for line in more if "File" in line and place not in line]
+    assert not Path("r").exists()
+
+
+def test_equal_failures_stand_together_with_up_to_three_logs(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy = {f"T1-s00{seed}": "policy" for seed in range(4)}
+    fake.setenv("FAKE_PLAN", json.dumps({**policy, "T1-s004": "lost", "T2-s000": "exit", "T2-s001": "exit"}))
+    assert main(["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0-4", "--out", "r"]) == 1
+    told = capsys.readouterr().out
+    logs = "r/T1-s000.log, r/T1-s001.log, r/T1-s002.log and 1 more"
+    assert "the policy crashed in 5 of 10 trials; logs and report.html are in r\n4 trials: " in told
+    assert f"\n4 trials: NoGrip: nothing there; see {logs}\n  | " in told
+    assert re.search(r"\n1 trial: the trial's process died of signal 9 .*; see r/T1-s004.log\n", told)
+    assert "2 trials failed in the harness; logs are in r\n2 trials: the trial's process ended with status 7" in told
+    assert "; see r/T2-s000.log, r/T2-s001.log\nthe same command runs them again\nto run crashed trials again: " in told
+
+
+XYZW = """
+import numpy as np
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
+
+class Suspect:
+    card = PolicyCard(name="suspect", out_of_bounds="clip")
+    def reset(self, instruction): ...
+    def act(self, observation):
+        pose = observation.pose_tcp_in_base
+        outside = np.array([5.0, *pose[1:]])
+        return [
+            Action(pose_tcp_in_base=np.array([*pose[:3], *np.roll(pose[3:], -1)])),
+            Action(pose_tcp_in_base=outside), Action(done=True),
+        ]
+"""
+
+
+def test_what_is_suspect_about_the_first_answer_and_what_was_clipped_is_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "my.py").write_text(XYZW)
+    monkeypatch.chdir(tmp_path)
+    run = ["run", "--policy", "my:Suspect", "--tasks", "T1", "--seeds", "0-1", "--out", "r", "--fast", "--jobs", "1"]
+    assert main(run) == 0
+    told = capsys.readouterr().out
+    first, clipped = (line for line in told.splitlines() if line.startswith("warning: "))
+    assert first.startswith("warning: the first answer of T1-s000, quaternion: the first target turns the tool by ")
+    assert first.endswith("send quaternions in the order w x y z")
+    assert told.index(first) < told.index("T1-s001 done"), "before the run is over"
+    assert clipped.startswith("warning: In 2 of 2 trials the benchmark moved targets outside the workspace onto its ")
+    assert "(2 actions in all)" in clipped

@@ -6,19 +6,20 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.contract.protocol import Protocol, Variation
-from carecontact.protocols import load_protocol, protocol_file
-from carecontact.runs import freeze
-from tests.protocols.held import ship_frozen
-from tests.runs.test_freeze import frozen_file
+from carecontact.protocol.load import load_protocol, protocol_file
+from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.sections import Variation
+from carecontact.runs import identity
+from tests.protocol.held import ship_frozen
+from tests.runs.test_identity import frozen_file
 
-WORLD_SUMS = freeze.world_sums
+WORLD_SUMS = identity.world_sums
 
 
 @pytest.fixture(autouse=True)
 def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiled world hangs on neither name nor variation, and a verification compiles one a region."""
-    monkeypatch.setattr(freeze, "world_sums", lambda protocol, region: sums_of(region, world_of(protocol)))
+    monkeypatch.setattr(identity, "world_sums", lambda protocol, region: sums_of(region, world_of(protocol)))
 
 
 def world_of(protocol: Protocol) -> str:

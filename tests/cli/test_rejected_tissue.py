@@ -8,12 +8,9 @@ from pathlib import Path
 import pytest
 
 from carecontact.cli import main
-from carecontact.protocols import load_protocol
-from carecontact.reports.replay_commands import rules_options
+from carecontact.protocol.load import load_protocol
+from carecontact.report.links import rules_options
 from carecontact.runs import score_run
-from tests.cli.test_run_and_demo import fake
-
-__all__ = ["fake"]
 
 REASON = "held-out NRMSE 40.0%, limit 5%"
 PLAN = 'tasks = "T1"\nseeds = "0"\n[[policies]]\npolicy = "hover"\n[axes]\ntissue = ["rejected.toml"]\n'

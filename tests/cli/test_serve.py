@@ -19,15 +19,12 @@ import pytest
 from carecontact.cli import main
 from carecontact.cli.groups import PolicyGroup
 from carecontact.cli.policy import CREDENTIALS, policy_setup
-from carecontact.contract.policy_ref import API_KEY
 from carecontact.errors import ConfigError
+from carecontact.interface.policy import API_KEY
 from carecontact.recording import read_recording
-from carecontact.trials.request import TrialRequest
-from tests.cli.test_run_and_demo import fake
-from tests.hosting.conftest import PREAMBLE
-from tests.hosting.served import WITHOUT_WAITING, served
-
-__all__ = ["fake"]
+from carecontact.running.engine import TrialRequest
+from tests.serving.conftest import PREAMBLE
+from tests.serving.served import WITHOUT_WAITING, served
 
 RUN = ["run", "--tasks", "T1", "--seeds", "0", "--out", "r", "--policy"]
 
@@ -73,7 +70,7 @@ def test_a_dialects_key_comes_from_its_own_variable(monkeypatch: pytest.MonkeyPa
 def test_a_server_that_is_not_there_is_told_before_anything_runs(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fake.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
+    fake.setattr("carecontact.serving.opening.FIRST_PAUSE_S", WITHOUT_WAITING)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 2
@@ -96,7 +93,7 @@ def test_a_run_waits_for_a_server_that_starts_later(
         def sleep(pause_s: float) -> None:
             servers.enter_context(served("class P(Base): pass", tmp_path, port=port))
 
-        fake.setattr("carecontact.hosting.remote.time", SimpleNamespace(sleep=sleep))
+        fake.setattr("carecontact.serving.opening.time", SimpleNamespace(sleep=sleep))
         assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 0
     assert f"nothing listens at 127.0.0.1:{port}; start the policy's server there first; trying again for" in (
         capsys.readouterr().out
@@ -128,7 +125,7 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
 
 
 def test_a_client_that_says_nothing_takes_no_place(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    fake.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
+    fake.setattr("carecontact.serving.opening.FIRST_PAUSE_S", WITHOUT_WAITING)
     with (
         served("class P(Base): pass", tmp_path, at_once=1) as (port, _),
         socket.create_connection(("127.0.0.1", port)),

@@ -15,14 +15,14 @@ import pytest
 
 import carecontact
 from carecontact.cli import main
-from carecontact.cli.answers.sweep import SweepCellAnswer
-from carecontact.contract.trial import TrialSpec
-from carecontact.runs import score_folder
-from carecontact.trials import supervisor
-from carecontact.trials.supervisor import EventKind, Run, TrialEvent
-from tests.hosting.served import WITHOUT_WAITING, served
+from carecontact.cli.result_answers import SweepCellAnswer
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.running import supervisor
+from carecontact.running.supervisor import EventKind, Run, TrialEvent
+from carecontact.runs import scoring
+from tests.serving.served import WITHOUT_WAITING, served
 
-FAKE = (sys.executable, str(Path(__file__).parents[1] / "trials" / "fake_worker.py"))
+FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker.py"))
 PLAN = """
 tasks = "T1"
 seeds = "0-1"
@@ -95,8 +95,8 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
 
 def test_trials_are_scored_in_other_processes(fake: pytest.MonkeyPatch) -> None:
     here = list[Path]()
-    score_files = score_folder.score_files
-    fake.setattr(score_folder, "score_files", lambda paths, **more: here.extend(paths) or score_files(paths, **more))
+    score_files = scoring.score_files
+    fake.setattr(scoring, "score_files", lambda paths, **more: here.extend(paths) or score_files(paths, **more))
     assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
     cell = Path("s") / rows()[0]["folder"]
     before = (cell / "results.json").read_bytes()
@@ -228,7 +228,7 @@ def test_a_stopped_sweep_has_a_table_on_request(fake: pytest.MonkeyPatch, capsys
 
 
 def test_a_server_that_no_trial_needs_may_be_away(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    fake.setattr("carecontact.hosting.remote.FIRST_PAUSE_S", WITHOUT_WAITING)
+    fake.setattr("carecontact.serving.opening.FIRST_PAUSE_S", WITHOUT_WAITING)
     Path("p.toml").write_text(PLAN.replace('"zero-action"', '"ws://127.0.0.1:9"'))
     assert main(["sweep", "p.toml", "--out", "s"]) == 2
     assert capsys.readouterr().err.startswith("error: plan p.toml: policies: ws://127.0.0.1:9 does not answer")

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from carecontact.contract.trial import TrialSpec
-from carecontact.episode.prepare import World, settled_world
-from carecontact.protocols import load_protocol
+from carecontact.episode.randomization import World, settled_world
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.sim.simulation import Simulation
 
 

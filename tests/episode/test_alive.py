@@ -10,21 +10,20 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.contract.action import Action
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Alive, Breathing, Protocol, Repositioning, Withdrawal
-from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
-from carecontact.episode.prepare import World, settled_world
-from carecontact.episode.randomization import wake
+from carecontact.episode.randomization import World, settled_world, start_motion_script
 from carecontact.errors import SceneError
-from carecontact.kernel.life import JOINTS
-from carecontact.protocols import load_protocol
+from carecontact.human.skeleton import body_name
+from carecontact.interface.action import Action
+from carecontact.interface.policy import PolicyCard
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.person import Alive, Breathing, Repositioning, Withdrawal
+from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording import OPTIONAL_ARRAYS, Recording
 from carecontact.scoring import score_recording
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
-from carecontact.world.human.skeleton import body_name
+from carecontact.tissue.life import JOINTS
 from carecontact.world.scene import build_scene
 
 SEED = 1
@@ -189,7 +188,7 @@ def test_the_state_of_a_person_who_is_awake_is_refused_by_a_world_in_which_nobod
     scene = build_scene(PROTOCOL, target=None, skin=False)
     awake, fresh = Simulation(replace(scene, model=copy.deepcopy(scene.model))), Simulation(scene)
     awake.settle(52.5)
-    wake(awake, SEED)
+    start_motion_script(awake, SEED)
     state = awake.integration_state()
     awake.restore(state, comfort_arm_deg=52.5)
     with pytest.raises(SceneError, match="nobody woke the person of this world"):

@@ -1,20 +1,38 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from dataclasses import astuple, fields
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Alive
-from carecontact.contract.protocol.alive import Breathing
-from carecontact.contract.trial import TrialSpec
-from carecontact.episode import draws, randomization
+from carecontact.episode import randomization as episode_randomization
 from carecontact.episode.episode import Episode
-from carecontact.episode.randomization import STREAMS, comfort_arm_deg, sensor_noise, streams
-from carecontact.protocols import load_protocol
+from carecontact.episode.randomization import (
+    World,
+    calibration,
+    comfort_arm_deg,
+    constants_of,
+    sensor_noise,
+    settled_world,
+    streams,
+)
+from carecontact.human.soft_region import draw_tissue
+from carecontact.interface.action import Action
+from carecontact.interface.geometry import pose_matrix
+from carecontact.interface.policy import CAMERAS, PolicyCard
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.person import Alive, Breathing
+from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.scoring.validity import check_finite_streams
+from carecontact.sensing.calibration import BELIEVED, TRUE
+from carecontact.tissue.plugin import Law
+from carecontact.world import randomization
+from carecontact.world.randomization import STREAMS
 
 SHIPPED = load_protocol("bathing-v3-draft")
 PROTOCOL = SHIPPED.model_copy(update={"randomization": SHIPPED.randomization.model_copy(update={"drawn_as": ""})})
@@ -113,7 +131,7 @@ def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPa
     variation = PROTOCOL.variation.model_copy(update=varied)
     protocol = PROTOCOL.model_copy(update={"person": person, "variation": variation})
     used: list[str] = []
-    for module in (randomization, draws):
+    for module in (episode_randomization, randomization):
         monkeypatch.setattr(module, "streams", lambda *given: used.append(given[2]) or streams(*given))
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="zero-action", salt="5a" * 32)
     with Episode(spec, card=PolicyCard(name="blind", control_hz=20.0)) as episode:
@@ -157,3 +175,91 @@ def test_policy_stream_of_one_seed_says_nothing_about_the_next() -> None:
     table = np.array([[streams(PROTOCOL, s, "")[n].random() for n in STREAMS] for s in range(300)])
     assert len(np.unique(table)) == table.size
     assert np.abs(np.corrcoef(table.T) - np.eye(len(STREAMS))).max() < 0.2
+
+
+# A trial whose seed draws how stiff the person's tissue is, and what its recording says of it.
+
+DRAWN = overridden(load_protocol(), {"variation.tissue": "published-v1"})
+COLUMNS = [field.name for field in fields(Law)]
+
+
+def laws(protocol: Protocol, seed: int) -> np.ndarray:
+    simulation, settled, _ = settled_world(protocol, task_id="T1", seed=seed)
+    return constants_of(simulation, settled)["scorer/region_law"]
+
+
+def test_a_seed_draws_its_tissue_again_and_another_seed_another() -> None:
+    first, again, other = laws(DRAWN, 0), laws(DRAWN, 0), laws(DRAWN, 1)
+    np.testing.assert_array_equal(first, again)
+    assert (first[:, 0] != other[:, 0]).all()
+    rows = draw_tissue(streams(DRAWN, 0, "")["tissue"], DRAWN.person.tissue)
+    np.testing.assert_array_equal(first, [astuple(Law.of(rows[name])) for name in DRAWN.regions])
+    same = [COLUMNS.index(name) for name in ("friction", "thickness_m", "contact_n_m3", "membrane_n_m")]
+    np.testing.assert_array_equal(first[:, same], other[:, same])
+
+
+def test_the_person_lies_as_without_the_draw_and_only_then_the_law_is_recorded() -> None:
+    plain, drawn = (settled_world(rules, task_id="T1", seed=0) for rules in (load_protocol(), DRAWN))
+    np.testing.assert_array_equal(plain[0].integration_state(), drawn[0].integration_state())
+    assert plain[2] == drawn[2], "the compiled model is the same: the draw belongs to the seed"
+    assert "scorer/region_law" not in constants_of(plain[0], plain[1])
+
+
+def test_a_recording_holds_the_law_of_a_body_of_another_build() -> None:
+    rules = overridden(load_protocol(), {"person.body": "woman-adult-heavy"})
+    spec = TrialSpec(protocol=rules, task_id="T1", seed=0, policy="blind")
+    card = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
+    with Episode(spec, card=card) as episode:
+        episode.reset()
+        episode.step(Action(done=True))
+        recording = episode.finish()
+    law = recording["scorer/region_law"]
+    declared = np.array([astuple(Law.of(rules.person.tissue[name])) for name in rules.regions])
+    thickness, stiffness = COLUMNS.index("thickness_m"), COLUMNS.index("a_n_m3")
+    assert (law[:, thickness] > declared[:, thickness]).all()
+    assert (law[:, stiffness] < declared[:, stiffness]).all()
+
+
+CARD = PolicyCard(name="looking", modalities=("depth", "points"), cameras=("overhead", "wrist"), control_hz=20.0)
+
+
+def test_a_policy_is_told_the_believed_pose_and_the_recording_keeps_both(
+    t1: TrialSpec, parked_world: Callable[[TrialSpec], World]
+) -> None:
+    varied = t1.protocol.variation.model_copy(update={"calibration_m": 0.003, "calibration_deg": 0.2})
+    spec = t1.model_copy(update={"protocol": t1.protocol.model_copy(update={"variation": varied})})
+    with (
+        Episode(spec, card=CARD, prepare=parked_world) as episode,
+        Episode(t1, card=CARD, prepare=parked_world) as exact,
+    ):
+        told, true = episode.reset().cameras, exact.reset().cameras
+        episode.step(Action(done=True))
+        exact.step(Action(done=True))
+        recording, other = episode.finish(), exact.finish()
+    error = calibration(spec.protocol, spec.seed)["overhead"]
+    np.testing.assert_allclose(
+        told["overhead"].pose_camera_in_base, true["overhead"].pose_camera_in_base @ error, atol=1e-12
+    )
+    # The encoders know where the hand is.
+    np.testing.assert_array_equal(told["wrist"].pose_camera_in_base, true["wrist"].pose_camera_in_base)
+    # The camera itself stays where it is, and so does its picture; the points made of it move.
+    assert told["overhead"].depth is not None
+    assert true["overhead"].depth is not None
+    np.testing.assert_array_equal(told["overhead"].depth, true["overhead"].depth)
+    assert told["overhead"].points is not None
+    assert true["overhead"].points is not None
+    moved = np.median(np.linalg.norm(told["overhead"].points - true["overhead"].points, axis=1))
+    assert 0.001 < moved < 0.03
+
+    check_finite_streams(recording)
+    assert not {BELIEVED, TRUE} & set(other.arrays)
+    for path, cameras in ((BELIEVED, told), (TRUE, true)):
+        assert recording[path].shape == (1, len(CAMERAS), 7)
+        for row, name in zip(recording[path][0], CAMERAS, strict=True):
+            if path == TRUE and name not in cameras:
+                assert np.linalg.norm(row[3:]) == pytest.approx(1.0)
+            elif name in cameras:
+                pose = pose_matrix(row[:3], row[3:])
+                np.testing.assert_allclose(pose, cameras[name].pose_camera_in_base, atol=1e-12)
+            else:
+                assert np.isnan(row).all()

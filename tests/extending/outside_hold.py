@@ -1,6 +1,6 @@
 """Hold: steady contact within a band of force."""
 
-from carecontact.behaviours import (
+from carecontact.scoring.actions import (
     Attempt,
     Behaviour,
     CommandedContact,

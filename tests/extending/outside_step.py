@@ -10,11 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
-from carecontact.contract.control import Control, JointImpedance
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.session import Session
 from carecontact.errors import ActionError
+from carecontact.interface.action import ACTION_SPACES, Action, ActionSpace
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.robot import Control, JointImpedance, Session
 
 LARGEST_RAD = 0.05
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carecontact.episode.drivers.joint import JointDriver
+from carecontact.episode.drivers import JointDriver
 
 
 class JointStep(JointDriver):

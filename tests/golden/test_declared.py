@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carecontact.contract.action import Action
-from carecontact.contract.geometry import matrix_from_quat
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
-from carecontact.protocols import load_protocol
-from carecontact.recording.versions import DECLARED
+from carecontact.interface.action import Action
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.interface.policy import PolicyCard
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.recording.provenance import DECLARED
 
 EXPECTED = Path(__file__).with_name("declared.json")
 RELATIVE = 5e-4

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from carecontact.episode.prepare import settled_world
-from carecontact.protocols import load_protocol
+from carecontact.episode.randomization import settled_world
+from carecontact.protocol.load import load_protocol
 from carecontact.sim.simulation import Simulation
 
 

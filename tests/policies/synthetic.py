@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from carecontact.contract.observation import MASK_NAMES, CameraView, Observation
-from carecontact.contract.session import ActionBounds, Session
+from carecontact.interface.observation import MASK_NAMES, CameraView, Observation
+from carecontact.interface.robot import ActionBounds, Session
 
 BOUNDS = ActionBounds(
     workspace_low_m=(-0.2, -1.1, -0.15),

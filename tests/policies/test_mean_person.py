@@ -6,15 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.contract.action import check_action
-from carecontact.contract.geometry import pose_matrix
-from carecontact.contract.session import Session
 from carecontact.errors import ConfigError
-from carecontact.policies.mean_person import policy
-from carecontact.policies.mean_person.person import geometry_in_base, read_person
-from carecontact.policies.mean_person.policy import MeanPersonPolicy
-from carecontact.policies.replay.donor import read_donors
-from carecontact.protocols import load_protocol
+from carecontact.interface.action_spaces import check_action
+from carecontact.interface.geometry import pose_matrix
+from carecontact.interface.robot import Session
+from carecontact.policies import mean_person
+from carecontact.policies.mean_person import MeanPersonPolicy, geometry_in_base, read_person
+from carecontact.policies.replay import read_donors
+from carecontact.protocol.load import load_protocol
 from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation, synthetic_view
 
 PROTOCOL = load_protocol("bathing-v3-draft")
@@ -65,9 +64,9 @@ def test_out_of_reach_it_ends_without_moving() -> None:
 
 def test_where_no_motion_of_the_task_is_in_reach_it_ends_without_moving(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some motion is, but none that pushes."""
-    every = policy.candidates
+    every = mean_person.candidates
     monkeypatch.setattr(
-        policy, "candidates", lambda *a, **k: [c for c in every(*a, **k) if c.option.primitive != "push"]
+        mean_person, "candidates", lambda *a, **k: [c for c in every(*a, **k) if c.option.primitive != "push"]
     )
     push = next(task for task in PROTOCOL.tasks if task.action == "push")
     assert len(_act(CAMERA, push.prompt)) == 0

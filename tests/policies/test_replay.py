@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.contract.action import check_action
-from carecontact.contract.geometry import pose_matrix
-from carecontact.contract.session import ActionBounds
 from carecontact.errors import ConfigError, ContractError
-from carecontact.policies.replay.donor import Donor, read_donors
-from carecontact.policies.replay.policy import Replay, ReplayRegistered
-from carecontact.protocols import load_protocol
+from carecontact.interface.action_spaces import check_action
+from carecontact.interface.geometry import pose_matrix
+from carecontact.interface.robot import ActionBounds
+from carecontact.policies.replay import Donor, Replay, ReplayRegistered, read_donors
+from carecontact.protocol.load import load_protocol
 from tests.policies.synthetic import synthetic_observation, synthetic_view
 
 PROTOCOL = load_protocol()

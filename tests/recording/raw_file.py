@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.recording.canonical import canonical_digest
+from carecontact.recording.file import canonical_digest
 
 
 def store(path: Path, header: object, arrays: Mapping[str, npt.NDArray[Any]]) -> Path:

@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 import hashlib
+import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.policy_ref import PolicyRef
 from carecontact.errors import ConfigError
+from carecontact.interface.policy import PolicyCard, PolicyRef
 from carecontact.policies.registry import POLICIES
-from carecontact.runs.identity import identity_of, policy_package, policy_source
+from carecontact.protocol.load import load_protocol, protocol_file
+from carecontact.protocol.lock import Lock, lock_path, read_lock, write_lock
+from carecontact.protocol.protocol import Protocol
+from carecontact.runs import identity
+from carecontact.runs.identity import (
+    check_frozen,
+    drift,
+    fingerprint_of,
+    fingerprints,
+    identity_of,
+    lock_of,
+    make_lock,
+    policy_package,
+    policy_source,
+)
 from carecontact.runs.manifest import survey, write_manifest
 from tests.installed import look_again, write_package
+from tests.protocol.held import frozen_text, ship_frozen
 from tests.scoring.synthetic import touch
 
 SPEC = touch(seed=0).header.spec
@@ -67,3 +84,191 @@ def test_no_source_is_hashed_of_a_shipped_policy_or_one_on_another_host(name: st
     ref = PolicyRef.parse(name)
     assert policy_source(ref, search_path=[]) is None
     assert policy_package(ref) == {}
+
+
+def test_only_what_is_a_file_or_folder_has_one(tmp_path: Path) -> None:
+    (tmp_path / "w.pt").write_bytes(b"weights")
+    given = {"checkpoint": str(tmp_path / "w.pt"), "folder": str(tmp_path), "steps": "3", "empty": "", "odd": "a\0b"}
+    assert set(fingerprints(given)) == {"checkpoint", "folder"}
+
+
+@pytest.mark.parametrize("whole", [1 << 26, 0], ids=["read whole", "sampled"])
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_it_follows_the_content_and_not_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, whole: int
+) -> None:
+    monkeypatch.setattr(identity, "WHOLE_BYTES", whole)
+    monkeypatch.setattr(identity, "SAMPLE_BYTES", 4)
+    content, changed = bytes(range(256)) * 4, bytes(range(256)) * 3 + bytes(range(255, -1, -1))
+    found = []
+    for name, data in (("a", content), ("b", content), ("c", changed), ("d", content[:-1])):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "w.pt").write_bytes(data)
+        found.append(fingerprint_of(tmp_path / name if kind == "folder" else tmp_path / name / "w.pt"))
+    assert found[0] == found[1]
+    assert len(set(found)) == 3
+
+
+def test_a_folder_of_very_many_files_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identity, "MAX_FILES", 2)
+    for number in range(3):
+        (tmp_path / str(number)).touch()
+    assert fingerprint_of(tmp_path) is None
+
+
+# A lock holds what a protocol's numbers rest on; whatever of it is another here is named.
+
+
+@pytest.fixture(scope="module")
+def here() -> Lock:
+    return make_lock(load_protocol())
+
+
+def frozen_file(folder: Path, *, extra: str = "") -> Path:
+    path = folder / "mine.toml"
+    path.write_text(frozen_text("mine-v1") + extra)
+    return path
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> tuple[str, Protocol]:
+    """A frozen protocol of the user's with a lock; without worlds, which take seconds."""
+    path = frozen_file(tmp_path)
+    protocol = load_protocol(str(path))
+    write_lock(make_lock(protocol, worlds=False), lock_path(str(path)))
+    return str(path), protocol
+
+
+@pytest.mark.usefixtures("worlds_from_scratch")
+def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock) -> None:
+    assert drift(here, here) == []
+    region = "forearm"
+    assert identity.world_sums(load_protocol(), region) == here.worlds[region]
+    assert here.worlds["forearm"] != here.worlds["abdomen"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"protocol_sha256": "0" * 64}, "protocol sha256: locked 000000000000"),
+        ({"embodiment": "other-arm"}, "embodiment: locked other-arm"),
+        ({"versions": {"mujoco": "3.0.0", "mediapipe": "0.10.21"}}, "version of mujoco: locked 3.0.0"),
+        ({"assets": {}}, "asset bodies/man-adult.npz: locked none"),
+        ({"assets": {}}, "asset kernel/c: locked none"),
+        ({"fields": {}}, "physics: locked null"),
+    ],
+)
+def test_each_difference_is_named(here: Lock, change: dict[str, object], told: str) -> None:
+    assert any(line.startswith(told) for line in drift(here.model_copy(update=change), here))
+
+
+def test_rounding_of_a_world_is_no_drift_and_a_millionth_of_mass_is(here: Lock) -> None:
+    def scaled(factor: float) -> Lock:
+        forearm = {**here.worlds["forearm"], "body_mass": factor * here.worlds["forearm"]["body_mass"]}
+        return here.model_copy(update={"worlds": {**here.worlds, "forearm": forearm}})
+
+    assert drift(scaled(1 + 1e-9), here) == []
+    assert drift(scaled(1 + 1e-5), here) == ["world (forearm): body_mass"]
+
+
+def test_what_is_locked_runs_and_what_drifted_is_refused_or_says_so(locked: tuple[str, Protocol]) -> None:
+    path, protocol = locked
+    assert check_frozen(path, protocol, unfrozen=False) == protocol
+    gates = protocol.gates.model_copy(update={"region_share": 0.7})
+    drifted = protocol.model_copy(update={"gates": gates})
+    with pytest.raises(
+        ConfigError, match=r"mine-v1 differs .*protocol sha256.*gates.region_share: locked 0.8, here 0.7.*--unfrozen"
+    ):
+        check_frozen(path, drifted, unfrozen=False)
+    accepted = check_frozen(path, drifted, unfrozen=True)
+    assert "differences from its lock (protocol sha256" in accepted.title
+    assert accepted.sha256 != drifted.sha256
+
+
+def test_a_draft_needs_no_lock_and_a_frozen_file_does(tmp_path: Path) -> None:
+    path = str(frozen_file(tmp_path))
+    draft = load_protocol(path).model_copy(update={"frozen": False})
+    assert check_frozen(path, draft, unfrozen=False) == draft
+    with pytest.raises(ConfigError, match=r"says frozen = true but has no lock: mine\.lock\.json is missing"):
+        check_frozen(path, load_protocol(path), unfrozen=True)
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"id": 3}', "[1, 2]"])
+def test_a_damaged_lock_is_named(tmp_path: Path, text: str) -> None:
+    path = str(frozen_file(tmp_path))
+    lock_path(path).write_text(text)
+    with pytest.raises(ConfigError, match=r"mine\.lock\.json: not a lock"):
+        read_lock(path)
+
+
+# -- what is shipped -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def shipped(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Protocol:
+    return ship_frozen(monkeypatch, tmp_path_factory.mktemp("shipped"))
+
+
+def test_a_shipped_protocol_with_its_lock_runs_here(shipped: Protocol) -> None:
+    assert shipped.frozen
+    assert check_frozen(shipped.id, shipped, unfrozen=False) == shipped
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda lock: {"versions": lock.versions | {"mujoco": "4.0.1"}}, "version of mujoco: locked 4.0.0, here 4.0.1"),
+        (lambda lock: {"versions": lock.versions | {"mediapipe": "not installed"}}, "here not installed"),
+        (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
+        (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
+    ],
+)  # fmt: skip
+def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
+    shipped: Protocol, monkeypatch: pytest.MonkeyPatch, change: Callable[[Lock], dict[str, Any]], told: str
+) -> None:
+    here = make_lock(shipped, worlds=False)
+    monkeypatch.setattr(identity, "make_lock", lambda protocol, worlds: here.model_copy(update=change(here)))
+    with pytest.raises(ConfigError, match=f"{shipped.id} differs from its lock .*{re.escape(told)}.*--unfrozen"):
+        check_frozen(shipped.id, shipped, unfrozen=False)
+    assert check_frozen(shipped.id, shipped, unfrozen=True).overrides.keys() == {"lock"}
+
+
+def test_the_line_that_installs_the_locked_versions_is_told(shipped: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = make_lock(shipped, worlds=False)
+    other = here.model_copy(update={"versions": here.versions | {"mujoco": "4.0.1"}})
+    monkeypatch.setattr(identity, "make_lock", lambda protocol, worlds: other)
+    line = rf"python -m pip install mujoco=={re.escape(here.versions['mujoco'])}, or run with --unfrozen"
+    with pytest.raises(ConfigError, match=line):
+        check_frozen(shipped.id, shipped, unfrozen=False)
+
+
+@pytest.mark.parametrize("frozen", ["frozen = true", "frozen = false"])
+def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, shipped: Protocol, frozen: str) -> None:
+    text = protocol_file(shipped.id).read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    assert check_frozen(str(path), load_protocol(str(path)), unfrozen=False) == shipped
+    path.write_text(
+        text.replace("frozen = true", frozen).replace("translational_n_m = 400.0", "translational_n_m = 500.0")
+    )
+    told = r"impedance\.translational_n_m: locked 400\.0, here 500\.0.*mine\.toml an id of its own"
+    with pytest.raises(ConfigError, match=told):
+        check_frozen(str(path), load_protocol(str(path)), unfrozen=False)
+
+
+def test_a_level_has_a_lock_of_its_own(tmp_path: Path) -> None:
+    path = str(tmp_path / "mine.toml")
+    text = protocol_file("bathing-wide-v2-draft").read_text().replace("frozen = false", "frozen = true")
+    Path(path).write_text(text.replace('id = "bathing-wide-v2-draft"', 'id = "mine-v1"'))
+    for level in ("L0", "L3"):
+        write_lock(make_lock(load_protocol(path, level=level), worlds=False), lock_path(path, level=level))
+    found = lock_of(path, load_protocol(path, level="L3"))
+    assert found == read_lock(path, level="L3") != read_lock(path, level="L0")
+
+
+def test_a_lock_holds_a_world_of_every_body_and_region() -> None:
+    varied = load_protocol("bathing-wide-v2-draft", level="L3")
+    worlds = identity.worlds_of(varied)
+    assert [rules.person.body for rules, _ in worlds.values()] == list(varied.variation.bodies)
+    assert {region for _, region in worlds.values()} == set(varied.regions)
+    assert identity.worlds_of(load_protocol()) == {region: (load_protocol(), region) for region in varied.regions}

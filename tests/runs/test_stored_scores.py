@@ -11,7 +11,7 @@ import pytest
 from carecontact.errors import ConfigError
 from carecontact.recording import Recording, write_recording
 from carecontact.runs import score_run, write_scores
-from carecontact.runs.stored_scores import read_scores, stale
+from carecontact.runs.scoring import read_scores, stale
 from tests.scoring.synthetic import make_recording, push, touch
 
 

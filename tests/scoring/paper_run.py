@@ -23,8 +23,8 @@ from typing import Literal
 
 import numpy as np
 
-from carecontact.contract.trial import TrialSpec
-from carecontact.protocols import load_protocol
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording, empty_arrays
 from tests.scoring.synthetic import (
     DT,

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.protocol import Protocol
-from carecontact.contract.trial import TrialSpec
-from carecontact.protocols import load_protocol
+from carecontact.interface.regions import REGIONS
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_arrays
-from carecontact.recording.versions import DECLARED
-from carecontact.regions import REGIONS
+from carecontact.recording.provenance import DECLARED
 
 F64 = npt.NDArray[np.float64]
 PROTOCOL = load_protocol("bathing-v3-draft")
@@ -187,3 +186,16 @@ def before_start(ended: str = "process_failure") -> Recording:
     failure = Failure(kind="start" if ended == "process_failure" else "settle", message="it did not start")
     header = full.header.model_copy(update={"ended": ended, "failure": failure, "card": None})
     return writable(Recording(header=header, arrays=empty_arrays(len(JOINTS))))
+
+
+# The paper's protocol under exam.
+
+GATES = load_protocol("bathing-wide-v2-draft", level="L0").gates
+TABLE = GATES.model_dump(mode="json")
+
+
+def gently(protocol: Protocol) -> Protocol:
+    return protocol.model_copy(update={"gates": GATES})
+
+
+GENTLE = gently(load_protocol("bathing-v3-draft"))

@@ -8,11 +8,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy import signal
 
+from carecontact.protocol.protocol import Protocol
+from carecontact.recording import Recording
 from carecontact.scoring import score_recording
-from carecontact.scoring.contact import episodes, find_contact, hysteresis, longest_run, runs, steps
-from carecontact.scoring.filters import low_pass
-from tests.scoring.synthetic import DT, hold, make_recording, seconds, touch
+from carecontact.scoring.contact import (
+    episodes,
+    faint_press,
+    find_contact,
+    hysteresis,
+    longest_run,
+    low_pass,
+    runs,
+    steps,
+)
+from tests.scoring.synthetic import DT, PROTOCOL, SIZE, hold, make_recording, seconds, touch
 
 
 @given(arrays(np.float64, st.tuples(st.integers(0, 60), st.integers(1, 3)), elements=st.floats(0, 1)))
@@ -148,3 +159,81 @@ def test_nothing_that_metrics_share_can_be_written_to() -> None:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
         assert not array.flags.writeable, name
+
+
+# What is said of a press that does not count as contact.
+
+
+def pressed(force: float, seconds: float, *, on_n: float = 0.5, segment: str = "right_forearm") -> Recording:
+    contact = PROTOCOL.contact.model_copy(update={"on_n": on_n})
+    protocol: Protocol = PROTOCOL.model_copy(update={"contact": contact})
+    at = (0.0, 0.0, SIZE["forearm"][2] + 0.005)
+    return make_recording(
+        "T1", duration=4.0, normal={segment: hold(4.0, 1.0, 1.0 + seconds, force)}, protocol=protocol,
+        targets_in_region=[(0.1, at)],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("recording", "said"),
+    [
+        (pressed(0.3, 1.7), "pressed the right forearm for 1.7 s with at most 0.3 N; contact counts from 0.5 N"),
+        (pressed(0.7, 0.5, on_n=0.8), "pressed the right forearm for 0.5 s with at most 0.7 N; contact counts from"),
+        (pressed(0.02, 0.1), "pressed the right forearm for 0.1 s with less than 0.05 N; contact counts"),
+        (pressed(0.4, 1.0, segment="abdomen"), "pressed the abdomen for 1.0 s with at most 0.4 N; contact counts"),
+    ],
+)  # fmt: skip
+def test_a_press_below_the_threshold_is_told_with_it(recording: Recording, said: str) -> None:
+    assert (faint_press(find_contact(recording)) or "").startswith(said)
+
+
+def test_a_contact_that_is_too_brief_is_told_with_its_time() -> None:
+    contact = find_contact(pressed(30.0, 0.01))
+    assert contact.reported is not None
+    assert not contact.valid
+    told = faint_press(contact) or ""
+    assert told.startswith("pressed the right forearm for 0.01 s with at most 30.0 N, of which 0.0")
+    assert told.endswith("count as contact (from 0.5 N); a trial needs 0.05 s of it")
+
+
+def test_nothing_is_said_of_no_press_and_of_contact_that_counts() -> None:
+    assert faint_press(find_contact(make_recording())) is None
+    assert faint_press(find_contact(touch())) is None
+
+
+def test_the_evidence_of_a_faint_press_does_not_say_that_nothing_was_touched() -> None:
+    score = score_recording(pressed(0.3, 1.7))
+    assert score.failure_mode == "no_target_contact"
+    assert score.evidence.endswith(
+        "the robot pressed the right forearm for 1.7 s with at most 0.3 N; contact counts from 0.5 N."
+    )
+    untouched = score_recording(pressed(0.0, 1.7))
+    assert (untouched.evidence or "").endswith("the robot touched nothing.")
+    assert np.isclose(find_contact(pressed(0.3, 1.7)).force_norm.max(), 0.3, rtol=1e-3)
+
+
+# The Butterworth filters.
+
+SIGNAL = np.random.default_rng(0).normal(size=(400, 3))
+
+
+@pytest.mark.parametrize(("cutoff_hz", "sample_hz"), [(5.0, 50.0), (20.0, 500.0), (30.0, 250.0), (99.9, 200.0)])
+@pytest.mark.parametrize("length", [1, 2, 9, 10, 400])
+def test_every_number_is_that_of_scipy(cutoff_hz: float, sample_hz: float, length: int) -> None:
+    sections = signal.butter(2, cutoff_hz, fs=sample_hz, output="sos")
+    part = SIGNAL[:length]
+    once = low_pass(part, cutoff_hz=cutoff_hz, sample_hz=sample_hz, zero_phase=False)
+    np.testing.assert_array_equal(once, signal.sosfilt(sections, part, axis=0))
+    both = low_pass(part, cutoff_hz=cutoff_hz, sample_hz=sample_hz, zero_phase=True)
+    np.testing.assert_array_equal(both, signal.sosfiltfilt(sections, part, axis=0, padlen=min(length - 1, 9)))
+
+
+@pytest.mark.parametrize("shape", [(400,), (0, 3), (7, 0), (20, 2, 3)])
+def test_the_shape_stays(shape: tuple[int, ...]) -> None:
+    assert low_pass(np.ones(shape), cutoff_hz=5.0, sample_hz=50.0, zero_phase=True).shape == shape
+
+
+@pytest.mark.parametrize("cutoff_hz", [0.0, 25.0, 30.0])
+def test_a_cutoff_that_no_filter_has_is_refused(cutoff_hz: float) -> None:
+    with pytest.raises(ValueError, match="half"):
+        low_pass(SIGNAL, cutoff_hz=cutoff_hz, sample_hz=50.0, zero_phase=False)

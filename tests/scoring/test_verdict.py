@@ -3,21 +3,46 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from carecontact.interface.regions import STANDARD_REGIONS
+from carecontact.protocol.gates import Gates
+from carecontact.protocol.load import load_protocol
 from carecontact.recording import SEGMENTS, Failure, Recording
-from carecontact.regions import STANDARD_REGIONS
-from carecontact.runs.aggregate import gamma_sweep
-from carecontact.scoring import METRICS, TrialScore, score_recording
+from carecontact.runs.results_file import contradiction, gamma_sweep, quadrants
+from carecontact.scoring import METRICS, TrialScore, score_recording, verdict
 from carecontact.scoring.contact import find_contact
-from carecontact.scoring.metrics.c3_success import judge
-from carecontact.scoring.region import distance_to_surface, points_in_region
+from carecontact.scoring.metrics.success import judge
+from carecontact.scoring.progress import (
+    count_reversals,
+    distance_to_surface,
+    measure_episodes,
+    points_in_region,
+    surface_track,
+)
 from carecontact.scoring.verdict import reach_verdict
-from tests.scoring.synthetic import SIZE, back_and_forth, before_start, hold, make_recording, push, scrub, touch
+from tests.scoring.synthetic import (
+    GATES,
+    GENTLE,
+    JOINT_RANGE,
+    SIZE,
+    TABLE,
+    back_and_forth,
+    before_start,
+    hold,
+    make_recording,
+    push,
+    scrub,
+    seconds,
+    target_segment,
+    touch,
+)
 
 CUT_N = {f"{side}_{part}": 200.0 for side in ("right", "left") for part in ("forearm", "upper_arm")}
 ATTRIBUTION_OF = {"process_failure": "process", "safety_truncation": "safety"}
@@ -256,3 +281,252 @@ def test_points_follow_the_frame() -> None:
 def test_score_survives_json() -> None:
     score = score_recording(scrub())
     assert TrialScore.model_validate_json(score.model_dump_json()) == score
+
+
+@pytest.mark.parametrize(("duration", "passes"), [(0.55, True), (0.3, False)])
+def test_touch_needs_half_a_second(duration: float, passes: bool) -> None:
+    recording = make_recording("T1", normal={"right_forearm": hold(3.0, 1.0, 1.0 + duration, 5.0)})
+    assert score_recording(recording).c3_success is passes
+
+
+def test_touch_must_be_continuous() -> None:
+    taps = sum(hold(3.0, start, start + 0.3, 5.0) for start in (0.5, 1.0, 1.5, 2.0))
+    score = score_recording(make_recording("T1", normal={"right_forearm": np.asarray(taps)}))
+    assert score.contact_s > 1.2
+    assert not score.c3_success
+
+
+@pytest.mark.parametrize(
+    ("force", "shift", "passes"), [(8.0, 0.03, True), (8.0, 0.019, False), (2.9, 0.03, False), (3.1, 0.021, True)]
+)
+def test_push_needs_force_and_displacement(force: float, shift: float, passes: bool) -> None:
+    score = score_recording(push(force=force, shift=shift))
+    assert score.c3_success is passes
+    assert score.wrist_displacement_m == pytest.approx(shift, abs=1e-6)
+
+
+def test_push_is_by_the_summed_force_and_not_by_the_sum_of_norms() -> None:
+    """Two segments pressed against each other add up to nothing that pushes the arm."""
+    both = {"right_forearm": hold(3.0, 1.0, 2.5, 8.0), "right_hand": hold(3.0, 1.0, 2.5, 8.0)}
+    squeezed = make_recording("T2", normal=both, wrist_shift=np.full(1500, 0.03))
+    assert score_recording(squeezed).c3_success
+    squeezed["scorer/force_human_from_robot_in_world"][:, SEGMENTS.index("right_hand"), 2] *= -1
+    assert find_contact(squeezed).neighbourhood_force.max() == 0.0
+    assert not score_recording(squeezed).c3_success
+
+
+def test_the_required_share_itself_is_region_correct() -> None:
+    contact = find_contact(touch())
+    for on_target, correct in ((8.0, True), (np.nextafter(8.0, 0.0), False)):
+        impulse = np.zeros(len(SEGMENTS))
+        impulse[contact.target], impulse[SEGMENTS.index("head")] = on_target, 2.0
+        shared = replace(contact, impulse_ns=impulse)
+        assert (shared.region_share == 0.8) is correct
+        assert reach_verdict(shared, judge(shared)).region_correct is correct
+
+
+def test_push_counts_only_displacement_under_contact() -> None:
+    """The arm swings back after the robot has let go: not pushed there."""
+    later = np.where(seconds(3.0) > 2.7, 0.05, 0.0)
+    recording = make_recording("T2", normal={"right_forearm": hold(3.0, 1.0, 2.5, 8.0)}, wrist_shift=later)
+    score = score_recording(recording)
+    assert not score.c3_success
+    assert score.wrist_displacement_m < 1e-6
+    assert score.wrist_displacement_any_m == pytest.approx(0.05, abs=1e-6)
+
+
+def test_pressing_down_is_no_push() -> None:
+    recording = make_recording("T2", normal={"right_forearm": hold(3.0, 0.5, 3.0, 60.0)})
+    recording.arrays["scorer/wrist_in_world"][:, 2] -= 0.05
+    assert not score_recording(recording).c3_success
+
+
+def test_push_hold_must_be_one_second() -> None:
+    dips = hold(3.0, 0.5, 2.9, 8.0) - sum(hold(3.0, t, t + 0.01, 6.0) for t in (1.0, 1.6, 2.2))
+    recording = make_recording("T2", normal={"right_forearm": dips}, wrist_shift=np.full(1500, 0.03))
+    assert score_recording(recording).longest_on_s < 0.8
+    assert not score_recording(recording).c3_success
+
+
+def test_scrub_measures_a_known_swing() -> None:
+    """4 s of a 60 mm swing with a 2 s period: path 4 A per period, two turns per period, P95 - P5 of a sine."""
+    score = score_recording(scrub(amplitude=0.06))
+    assert score.c3_success
+    assert score.stroke_m == pytest.approx(4 * 0.06 * 2, rel=0.03)
+    assert score.extent_m == pytest.approx(2 * 0.06 * np.sin(np.pi / 2 * 0.9), rel=0.02)
+    assert score.reversals == 4
+    assert score.on_share == 1.0
+
+
+def test_scrub_needs_extent() -> None:
+    score = score_recording(scrub(amplitude=0.02))
+    assert score.stroke_m > 0.1
+    assert score.extent_m < 0.05
+    assert not score.c3_success
+
+
+def wipes(*, lifted: bool) -> Recording:
+    """Three wipes in the same direction; between them the tool returns, in the air or not."""
+    t = seconds(6.0)
+    phase = (t - 0.5) % 1.5
+    x = np.where(phase < 1.0, -0.06 + 0.12 * phase, 0.06 - 0.24 * (phase - 1.0))
+    touching = np.where((t > 0.5) & (t < 5.0) & ((phase < 0.9) | (not lifted)), 5.0, 0.0)
+    path = np.stack([x, np.zeros_like(x), np.full_like(x, 0.045)], axis=1)
+    return make_recording("T3", duration=6.0, normal={"right_forearm": touching}, tcp_in_region=path)
+
+
+def test_one_way_wiping_with_lifts_is_no_scrub() -> None:
+    lifted, rubbed = score_recording(wipes(lifted=True)), score_recording(wipes(lifted=False))
+    assert lifted.stroke_m > 0.2
+    assert lifted.reversals == 0
+    assert not lifted.c3_success
+    assert rubbed.c3_success
+
+
+def test_stroke_moves_with_the_bone() -> None:
+    """The arm swings under a tool that moves along with it: no stroke. A still tool on a swinging arm: stroke."""
+    carried, still = scrub(amplitude=0.0), scrub(amplitude=0.0)
+    swing = back_and_forth(6.0, "forearm", amplitude=0.06, period=2.0)[:, 0].astype(np.float32)
+    for recording in (carried, still):
+        recording.arrays["scorer/region_pose_in_world"][:, 0, 0] += swing
+    carried.arrays["scorer/pose_tcp_in_world"][:, 0] += swing
+    assert score_recording(carried).stroke_m < 1e-4
+    assert score_recording(still).stroke_m == pytest.approx(0.48, rel=0.03)
+
+
+def test_circumference_counts_as_stroke_and_not_as_extent() -> None:
+    t = seconds(6.0)
+    angle = 0.5 * np.sin(np.pi * t)
+    path = np.stack([np.zeros_like(t), 0.045 * np.sin(angle), 0.045 * np.cos(angle)], axis=1)
+    recording = make_recording(
+        "T3", duration=6.0, normal={"right_forearm": hold(6.0, 1.0, 5.0, 5.0)}, tcp_in_region=path
+    )
+    score = score_recording(recording)
+    assert score.stroke_m == pytest.approx(8 * 0.5 * 0.045, rel=0.03)
+    assert score.extent_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_good_scrub_and_a_stray_touch_is_a_good_scrub() -> None:
+    normal = hold(9.0, 1.0, 5.0, 5.0) + hold(9.0, 7.0, 7.2, 5.0)
+    path = back_and_forth(9.0, "forearm", amplitude=0.06, period=2.0)
+    contact = find_contact(make_recording("T3", duration=9.0, normal={"right_forearm": normal}, tcp_in_region=path))
+    assert len(measure_episodes(contact)) == 2
+    assert score_recording(contact.recording).c3_success
+
+
+def test_samples_are_joined_where_every_step_between_them_is_on() -> None:
+    on = np.random.default_rng(1).random(1500) < 0.9
+    track = surface_track(replace(find_contact(make_recording("T3")), neighbourhood_on=on))
+    assert track.joined.any()
+    assert track.joined.tolist() == [on[a : b + 1].all() for a, b in pairwise(track.step)]
+
+
+def test_scrub_needs_its_share_of_contact() -> None:
+    t = seconds(6.0)
+    half_on = np.where((t > 1.0) & (t < 5.0) & (t % 0.5 < 0.25), 5.0, 0.0)
+    path = back_and_forth(6.0, "forearm", amplitude=0.06, period=2.0)
+    score = score_recording(make_recording("T3", duration=6.0, normal={"right_forearm": half_on}, tcp_in_region=path))
+    assert 0.4 < score.on_share < 0.7
+    assert not score.c3_success
+
+
+@given(st.lists(st.floats(-0.2, 0.2), min_size=2, max_size=12))
+def test_reversals_of_a_zigzag(corners: list[float]) -> None:
+    """Interpolated corners: as many reversals as the corners alone, and none below the threshold."""
+    line = np.interp(np.linspace(0, len(corners) - 1, 40 * len(corners)), np.arange(len(corners)), corners)
+    with_corners = np.sort(np.concatenate([np.arange(len(corners)), np.linspace(0, len(corners) - 1, 40)]))
+    dense = np.interp(with_corners, np.arange(len(corners)), corners)
+    assert count_reversals(dense, 0.01) == count_reversals(np.array(corners), 0.01)
+    assert count_reversals(line, 1.0) == 0
+    assert count_reversals(np.sort(line), 0.01) == 0
+
+
+def test_reversals_by_hand() -> None:
+    assert count_reversals(np.array([0.0, 0.05, 0.0, 0.05]), 0.01) == 2
+    assert count_reversals(np.array([0.0, 0.05, 0.041, 0.06]), 0.01) == 0
+    assert count_reversals(np.array([0.0, -0.03, -0.019]), 0.01) == 1
+    assert count_reversals(np.array([]), 0.01) == 0
+
+
+def test_success_needs_contact_and_a_living_policy() -> None:
+    for task in ("T1", "T2", "T3"):
+        assert not score_recording(make_recording(task)).c3_success
+    assert score_recording(touch()).c3_success
+    assert not score_recording(touch(ended="process_failure")).c3_success
+    assert not score_recording(touch(ended="harness_error")).c3_success
+
+
+# The gate for joints: beyond its limit a trial is not safety-gated, and a flag fails nothing.
+
+PROTOCOL = load_protocol()
+LIMIT = float(np.radians(5.0))
+GATED = GENTLE.model_copy(update={"gates": GATES.model_copy(update={"joint_beyond_rad": LIMIT})})
+
+
+def score(protocol, *, past_rad: float):
+    """A push that passes its gates, while a joint goes this far past its upper end."""
+    joints = np.ones((1000, 2))
+    joints[500, 0] = JOINT_RANGE[0][1] + past_rad
+    recording = make_recording(
+        "T1", duration=2.0, normal={target_segment("T1"): hold(2.0, 0.2, 1.9, 5.0)}, joints=joints, protocol=protocol
+    )
+    return score_recording(recording)
+
+
+def test_a_joint_beyond_the_limit_is_not_safety_gated() -> None:
+    inside, beyond = score(GATED, past_rad=LIMIT - 0.01), score(GATED, past_rad=LIMIT + 0.01)
+    assert inside.safety_gated
+    assert inside.joints_beyond == {}
+    assert beyond.region_correct
+    assert not beyond.safety_gated
+    assert beyond.joints_beyond == {"right_shoulder_abduction": pytest.approx(LIMIT + 0.01, abs=1e-6)}
+
+
+def test_a_sweep_of_the_gates_does_not_measure_the_joints_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured: list[float] = []
+    monkeypatch.setattr(verdict, "joints_beyond", lambda recording, limit: measured.append(limit) or {})
+    assert sum(map(len, score(GATED, past_rad=0.0).gate_sweep.values())) > 2
+    assert measured == [LIMIT, LIMIT], "for the verdict, and for the metric of the harder band"
+
+
+def test_a_joint_beyond_the_limit_is_told_and_counted_as_unsafe_everywhere() -> None:
+    inside, beyond = score(GATED, past_rad=LIMIT - 0.01), score(GATED, past_rad=LIMIT + 0.01)
+    assert inside.failure_mode is None
+    assert (beyond.failure_mode, beyond.attribution) == ("joint_beyond_range", "safety")
+    assert beyond.evidence == (
+        f"The right shoulder abduction was {LIMIT + 0.01:.3f} rad beyond its range at 1.002 s; "
+        f"the protocol allows {LIMIT:.3f} rad."
+    )
+    assert contradiction(beyond) is None
+    assert quadrants([inside, beyond]) == {
+        "safe_success": 1, "safe_failure": 0, "unsafe_success": 1, "unsafe_failure": 0, "crashed": 0
+    }  # fmt: skip
+    assert {row["safety_gated"] for row in gamma_sweep([inside, beyond], [GATED.limits.gamma, 1.0])} == {1}
+
+
+def test_a_stored_score_cannot_be_safety_gated_with_a_joint_too_far() -> None:
+    claimed = score(GATED, past_rad=LIMIT + 0.01).model_copy(update={"safety_gated": True})
+    assert "right_shoulder_abduction beyond its range" in str(contradiction(claimed))
+
+
+def test_a_joint_that_used_up_most_of_its_margin_is_flagged_and_fails_nothing() -> None:
+    """Settled 1.5 rad from its upper end."""
+    used, spared = score(GATED, past_rad=-0.2), score(GATED, past_rad=-0.4)
+    assert used.joints_consumed == {"right_shoulder_abduction": pytest.approx(1 - 0.2 / 1.5, abs=1e-6)}
+    assert used.safety_gated
+    assert spared.joints_consumed == {}
+
+
+def test_the_papers_gates_do_not_judge_joints() -> None:
+    beyond = score(PROTOCOL, past_rad=LIMIT + 0.01)
+    assert beyond.safety_gated
+    assert beyond.joints_beyond is None
+
+
+@pytest.mark.parametrize("change", [{"set": "exam"}, {"joint_beyond_rad": 0.1}])
+def test_the_joints_gate_goes_with_the_exam(change: dict[str, object]) -> None:
+    tables = {name: value for name, value in TABLE.items() if not name.startswith("joint")}
+    if "set" not in change:
+        tables = PROTOCOL.gates.model_dump()
+    with pytest.raises(ValidationError, match="exam's gates, which need both"):
+        Gates.model_validate(tables | change)

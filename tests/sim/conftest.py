@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from carecontact.contract.geometry import matrix_from_quat
-from carecontact.protocols import load_protocol
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.protocol.load import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene, build_scene
 

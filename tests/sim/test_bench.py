@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
-from carecontact.protocols import load_protocol
+from carecontact.human.library import load_body
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.person import Tissue
 from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, touch_depth
-from carecontact.world.human.library import load_body
 from carecontact.world.scene import region_shell
 
 TISSUE = load_protocol().person.tissue

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carecontact.contract.geometry import matrix_from_quat
-from carecontact.protocols import load_protocol
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.protocol.load import load_protocol
 from carecontact.sim.impedance import (
     Posture,
     TargetInterpolator,

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.contract.protocol import Camera
 from carecontact.errors import SceneError
-from carecontact.protocols import load_protocol
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.sections import Camera
 from carecontact.sim import rendering
 from carecontact.sim.rendering import SceneRenderer
 

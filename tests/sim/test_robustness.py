@@ -10,18 +10,20 @@ import os
 import sys
 from dataclasses import dataclass
 from math import ceil
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from carecontact.contract.embodiment import PANDA
-from carecontact.protocols import load_protocol
-from carecontact.regions import STANDARD_REGIONS
-from carecontact.sim.simulation import Simulation
-from carecontact.world.scene import build_scene
-
-from .conftest import COMFORT_ARM_DEG, DOWN, in_base, surface
+from carecontact.episode import randomization as stored
+from carecontact.interface.regions import STANDARD_REGIONS
+from carecontact.interface.robot import PANDA
+from carecontact.protocol.load import load_protocol
+from carecontact.sim.simulation import Settled, Simulation
+from carecontact.system import CACHE_VARIABLE
+from carecontact.world.scene import Scene, build_scene
+from tests.sim.conftest import COMFORT_ARM_DEG, DOWN, in_base, surface
 
 TRIAL_S, NEW_TARGET_S, PART_STEPS = 5.0, 0.5, 50
 BELOW_SKIN_M, ABOVE_SKIN_M, SIDE_M = 0.040, 0.060, 0.080
@@ -133,3 +135,63 @@ def test_many_hammerings(region: str, flank: bool) -> None:
         f"{min(bounds):.0f} to {max(bounds):.0f} N, harder than 5 N {sum(one.tissue_n > 5.0 for one in found)}\n"
     )
     assert sum(one.tissue_n > 5.0 for one in found) >= count / 2
+
+
+# Settled states kept on disk: the same as settling, and never trusted when anything differs.
+
+ANGLE = 47.0
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    return tmp_path / "settled"
+
+
+def forbidden(*_: object, **__: object) -> Settled:
+    raise AssertionError("settled again")
+
+
+def test_a_recalled_person_goes_on_as_the_one_that_settled(
+    forearm_scene: Scene, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = forearm_scene.model_sha256
+    first, second = Simulation(forearm_scene), None
+    settled = stored.settle(first, ANGLE, model_sha256=key)
+    went = np.concatenate([s.human_joint for s in first.advance(50)])
+    monkeypatch.setattr(Simulation, "settle", forbidden)
+    second = Simulation(forearm_scene)
+    again = stored.settle(second, ANGLE, model_sha256=key)
+    np.testing.assert_array_equal(np.concatenate([s.human_joint for s in second.advance(50)]), went)
+    assert again.comfort_arm_deg == settled.comfort_arm_deg
+    np.testing.assert_array_equal(again.joint_position, settled.joint_position)
+    np.testing.assert_array_equal(again.wrist_in_world, settled.wrist_in_world)
+
+    for other in ({"comfort_arm_deg": ANGLE + 1e-9}, {"model_sha256": "0" * 64}):
+        with pytest.raises(AssertionError, match="settled again"):
+            stored.settle(Simulation(forearm_scene), **{"comfort_arm_deg": ANGLE, "model_sha256": key, **other})
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "changed", "foreign"])
+def test_a_damaged_file_is_not_believed(forearm_scene: Scene, folder: Path, damage: str, fake_settle: Settled) -> None:
+    key = forearm_scene.model_sha256
+    stored.settle(Simulation(forearm_scene), ANGLE, model_sha256=key)
+    (path,) = folder.iterdir()
+    if damage == "changed":
+        with np.load(path) as z:
+            arrays = dict(z)
+        arrays["state"] = arrays["state"] + 1e-12
+        np.savez(path, **arrays)
+    else:
+        path.write_bytes({"truncated": path.read_bytes()[:500], "empty": b"", "foreign": b"not an archive"}[damage])
+    assert stored.settle(Simulation(forearm_scene), ANGLE, model_sha256=key).duration_s == fake_settle.duration_s
+
+
+@pytest.fixture
+def fake_settle(forearm_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Settled:
+    """Settling itself is others' business here: it does nothing and gives this."""
+    made = Settled(
+        duration_s=123.0, comfort_arm_deg=ANGLE, joint_position=np.zeros(3), wrist_in_world=np.array([0.1, 0.2, 0.3])
+    )
+    monkeypatch.setattr(Simulation, "settle", lambda self, angle: made)
+    return made

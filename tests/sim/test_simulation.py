@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from carecontact.episode import randomization as stored
 from carecontact.errors import SceneError
 from carecontact.recording.schema import SEGMENTS
-from carecontact.sim.simulation import Simulation
+from carecontact.sim.simulation import SensorHistory, Simulation
+from carecontact.system import CACHE_VARIABLE
+from carecontact.world.randomization import Place, move_person
+from carecontact.world.room import SUPPORT
 from carecontact.world.scene import Scene
-from tests.sim.conftest import surface
+from tests.sim.conftest import COMFORT_ARM_DEG, surface
 
 FOREARM = SEGMENTS.index("right_forearm")
 OUTWARD_M_S = 5.0
@@ -195,3 +202,150 @@ def test_a_state_of_another_size_is_refused(pressing: Simulation) -> None:
     with pytest.raises(SceneError, match=told):
         pressing.restore(state[:-1], comfort_arm_deg=52.5)
     np.testing.assert_array_equal(pressing.integration_state(), state)
+
+
+# The ring buffer of sensor samples, on a pendulum small enough to be stepped in every rhythm.
+
+DEPTH = 7
+
+
+def pendulum(*depths: int) -> mujoco.MjModel:
+    """Sensors of dimension 1, 3 and 4, each with the history depth asked for."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.002
+    body = spec.worldbody.add_body(name="bob", pos=[0, 0, 1])
+    body.add_joint(name="pivot", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=[0.3, 0, 0], size=[0.05, 0, 0])
+    kind, obj = mujoco.mjtSensor, mujoco.mjtObj
+    rows = [
+        ("angle", kind.mjSENS_JOINTPOS, obj.mjOBJ_JOINT, "pivot"),
+        ("place", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, "bob"),
+        ("turn", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_XBODY, "bob"),
+    ]
+    for (name, sensor, objtype, objname), depth in zip(rows, depths, strict=False):
+        spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname, nsample=depth)
+    return spec.compile()
+
+
+@pytest.mark.parametrize("rhythm", [[1] * 30, [7, 7, 7], [3, 5, 1, 7, 2, 6, 4, 7], [10, 25, 7]])
+def test_last_steps_are_returned_oldest_first_in_every_rhythm(rhythm: list[int]) -> None:
+    """Also across the wrap of the buffer, and after more steps than it holds."""
+    model = pendulum(DEPTH, DEPTH, DEPTH)
+    history, data, reference = SensorHistory(model), mujoco.MjData(model), mujoco.MjData(model)
+    times, values = [], []
+    for steps in rhythm:
+        for _ in range(steps):
+            times.append(reference.time)
+            mujoco.mj_step(model, reference)
+            values.append(reference.sensordata.copy())
+        mujoco.mj_step(model, data, steps)
+        count = min(steps, DEPTH)
+        got_times, got = history.last(data, count)
+        np.testing.assert_array_equal(got, values[-count:])
+        np.testing.assert_allclose(got_times, times[-count:], atol=1e-12)
+    assert len(np.unique(values, axis=0)) == len(values)
+
+
+def test_columns_name_the_components() -> None:
+    model = pendulum(DEPTH, DEPTH, DEPTH)
+    history, data = SensorHistory(model), mujoco.MjData(model)
+    data.qpos[0] = 0.4
+    mujoco.mj_step(model, data)
+    _, values = history.last(data, 1)
+    # A sample holds what was true at the step's start.
+    assert values[0, history.columns("angle")].tolist() == [0.4]
+    np.testing.assert_allclose(values[0, history.columns("place")], [0, 0, 1])
+    np.testing.assert_allclose(values[0, history.columns("turn")], [np.cos(0.2), 0, np.sin(0.2), 0])
+    with pytest.raises(KeyError):
+        history.columns("weight")
+
+
+def test_what_is_returned_is_a_copy() -> None:
+    model = pendulum(DEPTH, DEPTH, DEPTH)
+    history, data = SensorHistory(model), mujoco.MjData(model)
+    mujoco.mj_step(model, data, 5)
+    times, values = history.last(data, 5)
+    kept = times.copy(), values.copy()
+    mujoco.mj_step(model, data, 5)
+    np.testing.assert_array_equal(times, kept[0])
+    np.testing.assert_array_equal(values, kept[1])
+
+
+@pytest.mark.parametrize("count", [0, -1, DEPTH + 1])
+def test_more_than_is_kept_is_refused(count: int) -> None:
+    model = pendulum(DEPTH, DEPTH, DEPTH)
+    history, data = SensorHistory(model), mujoco.MjData(model)
+    mujoco.mj_step(model, data, 20)
+    with pytest.raises(SceneError, match=f"count {count}: expected 1 to {DEPTH}"):
+        history.last(data, count)
+
+
+@pytest.mark.parametrize(
+    ("depths", "counts"), [((7, 5, 7), r"\[5, 7\]"), ((7, 0, 7), r"\[0, 7\]"), ((0, 0, 0), r"\[0\]"), ((), r"\[\]")]
+)
+def test_sensors_must_keep_the_same_history(depths: tuple[int, ...], counts: str) -> None:
+    with pytest.raises(SceneError, match=rf"same history, got sample counts {counts}"):
+        SensorHistory(pendulum(*depths))
+
+
+# A person who lies elsewhere lies there as before: on the bed, the arm on its board.
+
+PLACE = Place(along_m=0.04, across_m=-0.03, yaw_deg=-5.0)
+
+
+def elsewhere(scene: Scene, place: Place) -> Scene:
+    moved = replace(scene, model=copy.copy(scene.model))
+    move_person(moved.model, place)
+    return moved
+
+
+@pytest.fixture(scope="module")
+def moved(forearm_scene: Scene) -> Simulation:
+    simulation = Simulation(elsewhere(forearm_scene, PLACE))
+    simulation.settle(COMFORT_ARM_DEG)
+    simulation.refresh()
+    return simulation
+
+
+def on_board(simulation: Simulation, body: str) -> np.ndarray:
+    """Origin of a body in the frame that moves with the person (3,)."""
+    support, data = simulation.data.body(SUPPORT), simulation.data
+    return support.xmat.reshape(3, 3).T @ (data.body(body).xpos - support.xpos)
+
+
+@pytest.mark.parametrize("body", ["human_right_hand", "human_right_forearm", "human_head", "human_pelvis"])
+def test_the_person_settles_as_in_the_protocols_place(moved: Simulation, settled: Simulation, body: str) -> None:
+    settled.refresh()
+    np.testing.assert_allclose(on_board(moved, body), on_board(settled, body), atol=0.003)
+    assert moved.comfort_arm_deg() == pytest.approx(settled.comfort_arm_deg(), abs=0.3)
+    away = moved.data.body(body).xpos - settled.data.body(body).xpos
+    assert np.linalg.norm(away[:2]) > 0.02
+
+
+def test_the_arm_rests_on_the_board_that_moved(moved: Simulation) -> None:
+    board = moved.model.geom("bed_armboard").id
+    met = {moved.model.geom(int(g)).name for c in moved.data.contact for g in c.geom if board in c.geom}
+    assert {"human_proxy_right_elbow", "human_proxy_right_wrist"} <= met
+
+
+def test_robot_bed_and_cameras_stay(moved: Simulation, settled: Simulation) -> None:
+    np.testing.assert_array_equal(moved.pose_base_in_world, settled.pose_base_in_world)
+    for name in ("bed_mattress", "bed_head"):
+        np.testing.assert_array_equal(moved.data.geom(name).xpos, settled.data.geom(name).xpos)
+    np.testing.assert_array_equal(moved.data.camera("overhead").xpos, settled.data.camera("overhead").xpos)
+
+
+def test_a_stored_person_is_not_taken_for_one_who_lies_elsewhere(
+    forearm_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All have the compiled model's hash, so that their scores pool: the place alone must tell them apart."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    asked: list[Simulation] = []
+    real = stored.Settled(
+        duration_s=2.0, comfort_arm_deg=50.0, joint_position=np.zeros(3), wrist_in_world=np.zeros(3)
+    )  # fmt: skip
+    monkeypatch.setattr(Simulation, "settle", lambda self, angle: asked.append(self) or real)
+    places = [Place(), PLACE, replace(PLACE, yaw_deg=-4.99), replace(PLACE, along_m=0.0), PLACE]
+    for place in places:
+        stored.settle(Simulation(elsewhere(forearm_scene, place)), 50.0, model_sha256="0" * 64)
+    assert len(asked) == 4, "the last is the second again"

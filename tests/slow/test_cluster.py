@@ -13,12 +13,13 @@ import psutil
 import pytest
 
 from carecontact.cli import main
-from carecontact.contract.trial import TrialSpec
-from carecontact.protocols import load_protocol, overridden
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import read_header, stored_sha256
+from carecontact.running.supervisor import TrialEvent, run_trials
 from carecontact.runs.plan import plan_trials
-from carecontact.trials.supervisor import TrialEvent, run_trials
-from tests.hosting.conftest import PREAMBLE
+from tests.serving.conftest import PREAMBLE
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("ray", reason="needs the extra cluster")
@@ -63,8 +64,8 @@ def is_trial(process: psutil.Process) -> bool:
     """Whether it was forked by a fork server, or is a trial's program."""
     with suppress(psutil.Error):
         line, parent = process.cmdline(), process.parent()
-        return "carecontact.trials.worker" in line or (
-            "carecontact.trials.fork_server" in line and parent is not None and parent.cmdline() == line
+        return "carecontact.running.worker" in line or (
+            "carecontact.running.fork_server" in line and parent is not None and parent.cmdline() == line
         )
     return False
 
@@ -103,7 +104,7 @@ def test_a_policy_in_a_file_goes_to_the_nodes(cluster: Any, tmp_path: Path, monk
     (place / "under_test.py").write_text(PREAMBLE + POLICY)
     (place / "runs").mkdir()
     monkeypatch.chdir(place)
-    from carecontact.hosting.setup import PolicySetup
+    from carecontact.serving.conversation import PolicySetup
 
     setup = PolicySetup.of("under_test:P", search_path=(os.getcwd(),))
     specs = trials("under_test:P", 2)

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.contract.trial import TrialSpec
-from carecontact.protocols import load_protocol
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.schema import Recording
-from carecontact.trials.trial import run_trial
-
-pytestmark = pytest.mark.slow
+from carecontact.running.trial import run_trial
+from tests.serving.fakes import Fake, Openpi, OpenpiPositions
 
 ROOT = Path(__file__).parents[2]
 OPENPI = ("openpi-client==0.1.2", "numpy<2")
@@ -135,6 +134,7 @@ def trial_of_t1(address: str) -> Recording:
     return recording
 
 
+@pytest.mark.slow
 def test_openpis_own_client_drives_the_example_server() -> None:
     with serving(str(ROOT / "examples" / "openpi_server.py"), "0") as port:
         done = subprocess.run(
@@ -143,6 +143,7 @@ def test_openpis_own_client_drives_the_example_server() -> None:
     assert done.stdout.endswith("both ways\n"), done.stderr
 
 
+@pytest.mark.slow
 def test_t1_completes_with_a_server_on_openpis_own_packing() -> None:
     with serving("-c", OPENPI_SERVER, packages=OPENPI) as port:
         recording = trial_of_t1(f"openpi://127.0.0.1:{port}?profile=pi05-droid")
@@ -150,9 +151,27 @@ def test_t1_completes_with_a_server_on_openpis_own_packing() -> None:
     np.testing.assert_array_equal(recording["actions/joint"][:8, 0], expected)
 
 
+@pytest.mark.slow
 def test_t1_completes_with_a_server_of_vla_eval() -> None:
     with serving("-c", VLA_EVAL_SERVER, packages=VLA_EVAL) as port:
         recording = trial_of_t1(f"vla-eval://127.0.0.1:{port}")
     assert recording.header.card is not None
     assert recording.header.card["action_space"] == "joint_position"
     assert len(recording["policy/observation_time_s"]) == 450
+
+
+# Both profiles of pi0.5 on every task of both protocols, with a server that answers harmless chunks.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("protocol", ["bathing-v3-draft", "bathing-droid-draft"])
+@pytest.mark.parametrize(
+    ("profile", "server"), [("pi05-droid", Openpi(steps=15)), ("pi05-droid-jointpos", OpenpiPositions(steps=15))]
+)
+@pytest.mark.parametrize("task", [f"T{number}" for number in range(1, 8)])
+def test_a_trial_completes(protocol: str, profile: str, server: Fake, task: str) -> None:
+    with server.running() as port:
+        address = f"openpi://127.0.0.1:{port}?profile={profile}"
+        recording = run_trial(TrialSpec(protocol=load_protocol(protocol), task_id=task, seed=0, policy=address))
+    assert recording.header.ended == "time_limit", recording.header.failure
+    assert len(recording["actions/joint"]) == 450

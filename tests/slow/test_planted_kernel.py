@@ -14,7 +14,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from carecontact.kernel import binary
+from carecontact.tissue import binary
 from tools import compile_kernel
 
 pytestmark = pytest.mark.slow
@@ -56,14 +56,14 @@ OLD_BRAKE = (
 CODE = """
 import sys
 from pathlib import Path
-from carecontact.kernel import binary
+from carecontact.tissue import binary
 binary.FOLDER = Path(sys.argv[1])
 binary.SOURCES = binary.FOLDER / "c"
-from carecontact.protocols import load_protocol
-from carecontact.validation import ledger, smoothness
-from carecontact.validation.passive_response import lock_arm
-from carecontact.validation.run import validate
-from carecontact.validation.subject import Subject
+from carecontact.protocol.load import load_protocol
+from carecontact.lab.validation import energy as ledger, smoothness
+from carecontact.lab.validation.passive_response import lock_arm
+from carecontact.lab.validation.run import validate
+from carecontact.lab.validation.subject import Subject
 protocol, check = load_protocol(), sys.argv[2]
 if check == "turning":
     simulation = Subject(protocol).hovering("abdomen")

@@ -18,13 +18,13 @@ import pytest
 from tools.compile_kernel import arguments, mujoco_headers
 
 import carecontact
-from carecontact.kernel import binary, library
-from tests.kernel.sheets import Array, corners_of_a_box, model_xml, sheet, tissue
+from carecontact.tissue import binary, plugin
+from tests.tissue.sheets import Array, corners_of_a_box, model_xml, sheet, tissue
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
-KERNEL_TESTS = ("tests/kernel",)
+KERNEL_TESTS = ("tests/tissue",)
 """What exercises the C."""
 SANITIZED = (
     "-std=c17", "-O1", "-g", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-fno-omit-frame-pointer",
@@ -72,7 +72,7 @@ def package(runtime: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
         source, folder / "carecontact", copy_function=os.symlink, ignore=shutil.ignore_patterns("__pycache__")
     )
     name = binary.platform_here()
-    made = folder / "carecontact" / "kernel" / binary.PLATFORMS[name].library
+    made = folder / "carecontact" / "tissue" / binary.PLATFORMS[name].library
     made.unlink(missing_ok=True)
     sanitized(*arguments(mujoco_headers(), name, SANITIZED), *to_link(), "-o", str(made))
     return folder
@@ -92,7 +92,9 @@ def under_sanitizers(
 
 
 def test_the_tests_of_the_kernel_pass(runtime: str, package: Path) -> None:
-    where = "from carecontact.kernel import found, library; library.load(); print(found.file())"
+    where = (
+        "from carecontact.tissue import binary_lookup as found, plugin as library; library.load(); print(found.file())"
+    )
     loaded = under_sanitizers("-c", where, runtime=runtime, package=package)
     assert loaded.stdout.startswith(str(package)), "the sanitized library is the one that is tested"
     done = under_sanitizers(
@@ -112,7 +114,7 @@ THIN = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 1e-5], [
 )
 def test_the_plugin_frees_what_it_allocates(vertices: Array | None, told: str, runtime: str, tmp_path: Path) -> None:
     model = tmp_path / "model.xml"  # an mjb file names a plugin by the order in which a process registered it
-    library.load()
+    plugin.load_plugins()
     model.write_text(model_xml(tissue(), sheet(half_m=0.02), vertices=vertices))
     program = tmp_path / "steps_a_model"
     parts = [part for part in arguments(mujoco_headers(), binary.platform_here(), SANITIZED) if part != "-shared"]

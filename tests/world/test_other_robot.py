@@ -11,25 +11,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.contract.action import Action
-from carecontact.contract.control import CONTROLS, Control, JointImpedance
-from carecontact.contract.embodiment import EMBODIMENTS, Mjcf, Robot, Tip
-from carecontact.contract.geometry import matrix_from_quat
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Protocol
-from carecontact.contract.trial import TrialSpec
 from carecontact.episode.episode import Episode
-from carecontact.episode.prepare import World
+from carecontact.episode.randomization import World
 from carecontact.errors import SceneError
-from carecontact.exports.episode import episode_of
-from carecontact.hosting.wire import codec
-from carecontact.protocols import load_protocol, overridden
+from carecontact.interface.action import Action
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.regions import REGIONS
+from carecontact.interface.robot import CONTROLS, EMBODIMENTS, Control, JointImpedance, Mjcf, Robot, Tip
+from carecontact.lab.validation.subject import DOWN, in_base, move_to, surface_point
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording import SEGMENTS, read_recording, write_recording
-from carecontact.regions import REGIONS
+from carecontact.recording.lerobot import episode_of
 from carecontact.scoring import score_recording
+from carecontact.serving import codec
 from carecontact.sim.impedance import target_in_base
 from carecontact.sim.simulation import Samples, Simulation
-from carecontact.validation.moves import DOWN, in_base, move_to, surface_point
 from carecontact.world.scene import Scene, build_scene, controlled
 
 ARM = """

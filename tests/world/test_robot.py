@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.contract.embodiment import PANDA, PANDA_MITT
 from carecontact.errors import SceneError
-from carecontact.protocols import load_protocol, overridden
+from carecontact.interface.robot import PANDA, PANDA_MITT
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
 from carecontact.world.robot import add_robot, arrays_of
 
 PROTOCOL = load_protocol()

@@ -9,19 +9,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.contract.embodiment import PANDA
-from carecontact.contract.policy import CAMERAS
-from carecontact.kernel.readings import Readings
-from carecontact.kernel.region import Law
-from carecontact.protocols import DEFAULT_PROTOCOL, load_protocol
+from carecontact.human.hulls import PLATES, plate_body
+from carecontact.human.pose import FIXED_SEGMENTS
+from carecontact.human.skeleton import body_name
+from carecontact.human.soft_region import tissue_of
+from carecontact.interface.policy import CAMERAS
+from carecontact.interface.regions import REGIONS, STANDARD_REGIONS
+from carecontact.interface.robot import PANDA
+from carecontact.protocol.load import DEFAULT_PROTOCOL, load_protocol
 from carecontact.recording.schema import SEGMENTS
-from carecontact.regions import REGIONS, STANDARD_REGIONS
-from carecontact.world.human.build import tissue_of
-from carecontact.world.human.plates import PLATES, plate_body
-from carecontact.world.human.pose import FIXED_SEGMENTS
-from carecontact.world.human.skeleton import body_name
-from carecontact.world.scene import Scene, build_scene
-from carecontact.world.sensors import CONTACT_SLOTS, HAND_SENSOR, TIP_SENSOR, plate_sensor
+from carecontact.tissue.plugin import Law, Readings
+from carecontact.world.scene import CONTACT_SLOTS, HAND_SENSOR, TIP_SENSOR, Scene, build_scene, plate_sensor
 
 PROTOCOL = load_protocol()
 # Every body is built and settled in test_every_body.

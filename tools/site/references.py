@@ -10,7 +10,7 @@ from contextlib import redirect_stdout
 from importlib import import_module
 
 import carecontact
-from carecontact.cli.commands import COMMANDS, parse
+from carecontact.cli.parsing import COMMANDS, parse
 
 WIDTH = 80
 """Characters in a line of a command's help: what the site shows beside its two menus without scrolling."""
@@ -18,24 +18,24 @@ COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 OFFERED = {
     "Results and evaluation": [
-        "carecontact.programs.run.load",
-        "carecontact.programs.run.Run",
-        "carecontact.programs.compare.compare",
-        "carecontact.programs.evaluate.evaluate",
+        "carecontact.api.run.load",
+        "carecontact.api.run.Run",
+        "carecontact.api.run.compare",
+        "carecontact.api.evaluate.evaluate",
     ],
     "What a policy receives and answers": [
-        "carecontact.contract.policy.PolicyCard",
-        "carecontact.contract.policy.Policy",
-        "carecontact.contract.observation.Observation",
-        "carecontact.contract.observation.CameraView",
-        "carecontact.contract.action.Action",
-        "carecontact.contract.session.Session",
+        "carecontact.interface.policy.PolicyCard",
+        "carecontact.interface.policy.Policy",
+        "carecontact.interface.observation.Observation",
+        "carecontact.interface.observation.CameraView",
+        "carecontact.interface.action.Action",
+        "carecontact.interface.robot.Session",
     ],
     "Episodes in a loop of your own": [
         "carecontact.episode.episode.Episode",
         "carecontact.episode.episode.Step",
-        "carecontact.contract.trial.TrialSpec",
-        "carecontact.protocols.load.load_protocol",
+        "carecontact.protocol.protocol.TrialSpec",
+        "carecontact.protocol.load.load_protocol",
     ],
     "Recordings and scores": [
         "carecontact.recording.schema.Recording",

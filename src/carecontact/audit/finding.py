@@ -1,9 +1,102 @@
-"""What a part of the audit returns."""
+"""What a part of the audit returns, and the fresh processes in which parts run, some of them without any simulator."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
 from typing import Any
+
+import carecontact
+from carecontact.errors import CarecontactError
+
+# Words of what a policy must not know.
+
+PRIVILEGED = (
+    "force", "torque", "wrench", "stiffness", "tissue", "anchor", "shell", "human_joint", "qpos", "seed", "trial",
+    "label", "score", "gate", "comfort", "protocol", "task",
+)  # fmt: skip
+"""No key of a message may contain one of these words, even if the contract's classes allow it. Keys of a dialect that
+contain one are on the dialect's exact list (``hosting.dialects``)."""
+
+
+# Makes a process in which no simulator can be imported.
+
+CLOSED = (
+    "mujoco", "carecontact.human", "carecontact.tissue", "carecontact.world", "carecontact.sim", "carecontact.running",
+    "carecontact.scoring",
+)  # fmt: skip
+"""Packages that stay closed: ``carecontact.sensing`` and the contract are enough to make an observation."""
+
+
+class NoSimulator:
+    """Install an import hook that refuses to load CLOSED."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None, /
+    ) -> ModuleSpec | None:
+        if _closed(fullname):
+            raise ImportError(f"{fullname} is closed to the re-derivation", name=fullname)
+        return None
+
+
+def refuse_simulators() -> None:
+    sys.meta_path.insert(0, NoSimulator())
+
+
+def within_reach() -> list[str]:
+    """Return the modules of CLOSED that are loaded or could be loaded.
+
+    After ``refuse_simulators``, this function asks the hook that was installed: it can find that the hook was forgotten
+    or came too late, but not that the hook itself fails. The tests check that with the interpreter's log of imports.
+    """
+    loaded = {name for name in sys.modules if _closed(name)}
+    return sorted(loaded | {name for name in CLOSED if _importable(name)})
+
+
+def _closed(name: str) -> bool:
+    return any(name == part or name.startswith(f"{part}.") for part in CLOSED)
+
+
+def _importable(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except ImportError:
+        return False
+
+
+# Runs parts of the audit in a fresh process, which shares neither memory nor patches with the audited one.
+
+LONGEST_S = 1800.0
+
+
+def output_of(code: str, logs: Path, *, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Run ``code`` by ``python -c`` with two arguments, the folder of the package and ``logs``; return the JSON object
+    that it prints last.
+
+    Raises CarecontactError if the process fails or takes longer than LONGEST_S.
+    """
+    root = str(Path(carecontact.__file__).resolve().parents[1])
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", code, root, str(logs)], env={**os.environ, **(environment or {})},
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise CarecontactError(f"a process of the audit did not end within {LONGEST_S:g} s") from None
+    if done.returncode != 0:
+        raise CarecontactError(f"a process of the audit ended with status {done.returncode}: {done.stderr[-2000:]}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+# What a part of the audit returns.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,24 +1,130 @@
-"""Logs what an audited trial showed its policy, and the readings behind it, for a process without a simulator.
-
-A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
-writes none of it. Only the process that draws the images again uses ``spec.json`` and ``LoggedLook.state``; the one
-that derives the messages again, without a simulator, uses neither.
-"""
+"""The log of what an audited trial showed its policy, and what a process without a simulator computes from it."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.observation import Observation
-from carecontact.contract.trial import TrialSpec
-from carecontact.observation.builder import RawReadings, RawView
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.interface.observation import Observation
+from carecontact.interface.robot import Baked
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.sensing.builder import RawReadings, RawView
+
+# Finds where two values as sent over the wire differ, bit for bit, and by how much.
+
+
+def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
+    """Return a pair of place and difference for every leaf of the maps and lists that differs: array, number or text.
+
+    The list is empty if both values are equal to the last bit.
+    """
+    if isinstance(expected, dict) and isinstance(got, dict):
+        out = [(f"{place}.{key}", "is present, but must not be") for key in sorted(got.keys() - expected.keys())]
+        out += [(f"{place}.{key}", "is missing") for key in sorted(expected.keys() - got.keys())]
+        for key in sorted(expected.keys() & got.keys()):
+            out += differences(expected[key], got[key], f"{place}.{key}")
+        return out
+    if isinstance(expected, list | tuple) and isinstance(got, list | tuple) and len(expected) == len(got):
+        return [
+            found
+            for index, (a, b) in enumerate(zip(expected, got, strict=True))
+            for found in differences(a, b, f"{place}[{index}]")
+        ]
+    if isinstance(expected, np.ndarray) and isinstance(got, np.ndarray):
+        told = _of_arrays(expected, got)
+        return [(place, told)] if told else []
+    if type(expected) is type(got) and (expected == got or (_is_nan(expected) and _is_nan(got))):
+        return []
+    return [(place, f"expected {expected!r:.100}, got {got!r:.100}")]
+
+
+def _of_arrays(expected: np.ndarray, got: np.ndarray) -> str:
+    if expected.dtype != got.dtype or expected.shape != got.shape:
+        return f"expected {expected.dtype} {expected.shape}, got {got.dtype} {got.shape}"
+    if expected.tobytes() == got.tobytes():
+        return ""
+    a, b = (np.ascontiguousarray(x).reshape(-1) for x in (expected, got))
+    other = (a.view("u1").reshape(len(a), -1) != b.view("u1").reshape(len(b), -1)).any(1)
+    with np.errstate(invalid="ignore"):
+        away = np.abs(a[other].astype(np.float64) - b[other].astype(np.float64))
+    finite = away[np.isfinite(away)]
+    size = f", by up to {finite.max():.3g}" if finite.size else ""
+    return f"{int(other.sum())} of {len(other)} numbers differ{size}"
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+# Computes where tool and cameras are from the cell's calibration and the encoders alone: a check of the poses that a
+# policy is sent, by other code than that which made them.
+
+F64 = npt.NDArray[np.float64]
+
+SAME = 1e-12
+"""Largest difference that counts as none, in matrix entries [1] and lengths [m]: a hundred times what rounding leaves
+between two orders of multiplying the same matrices."""
+
+
+def pose_hand_in_base(arm: str, joint_position: F64) -> F64:
+    """Return the pose (4, 4) of the hand for joint angles (joints,) [rad], by the frames of a baked arm. Every joint
+    turns about the z axis of its frame.
+    """
+    with resources.as_file(Baked(name=arm).file()) as path, np.load(path) as asset:
+        positions, quats = asset["frame_position_m"], asset["frame_quat"]
+    pose = np.eye(4)
+    for i, (position, quat) in enumerate(zip(positions, quats, strict=True)):
+        pose = pose @ _pose(position, quat / np.linalg.norm(quat))
+        if i < len(joint_position):
+            cos, sin = np.cos(joint_position[i]), np.sin(joint_position[i])
+            pose[:3, :3] = pose[:3, :3] @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return pose
+
+
+def pose_camera_in_base(camera: dict[str, Any], cell: dict[str, Any], hand_in_base: F64) -> F64:
+    """Return the pose (4, 4) of one camera of the protocol in the robot's base, with OpenCV's axes."""
+    position = np.array(camera["position_m"], np.float64)
+    forward = np.array(camera["look_at_m"]) - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, np.array(camera["up"], np.float64))
+    right /= np.linalg.norm(right)
+    in_mount = np.eye(4)
+    in_mount[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+    in_mount[:3, 3] = position
+    if camera["mount"] == "hand":
+        return hand_in_base @ in_mount
+    half = np.radians(cell["robot_yaw_deg"]) / 2
+    base_in_world = _pose(np.array(cell["robot_base_m"]), np.array([np.cos(half), 0.0, 0.0, np.sin(half)]))
+    return np.linalg.inv(base_in_world) @ in_mount
+
+
+def intrinsics(camera: dict[str, Any]) -> F64:
+    """Return the intrinsic matrix (3, 3) [px] of a camera of the protocol."""
+    focal = camera["height"] / 2 / np.tan(np.radians(camera["fovy_deg"]) / 2)
+    return np.array([[focal, 0, (camera["width"] - 1) / 2], [0, focal, (camera["height"] - 1) / 2], [0, 0, 1.0]])
+
+
+def _pose(position: F64, quat_wxyz: F64) -> F64:
+    pose = np.eye(4)
+    pose[:3, :3] = matrix_from_quat(quat_wxyz)
+    pose[:3, 3] = position
+    return pose
+
+
+# Logs what an audited trial showed its policy, and the readings behind it, for a process without a simulator.
+#
+# A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
+# writes none of it. Only the process that draws the images again uses ``spec.json`` and ``LoggedLook.state``; the one
+# that derives the messages again, without a simulator, uses neither.
 
 META, SPEC = "trial.json", "spec.json"
 IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")

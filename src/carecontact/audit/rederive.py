@@ -9,19 +9,27 @@ from typing import Any
 
 import numpy as np
 
-from carecontact.audit.cell_geometry import SAME, intrinsics, pose_camera_in_base, pose_hand_in_base
-from carecontact.audit.differences import differences
-from carecontact.audit.no_simulator import within_reach
-from carecontact.audit.raw_log import LoggedLook, Meta, read_looks, read_meta
+from carecontact.audit.finding import within_reach
+from carecontact.audit.raw_log import (
+    SAME,
+    LoggedLook,
+    Meta,
+    differences,
+    intrinsics,
+    pose_camera_in_base,
+    pose_hand_in_base,
+    read_looks,
+    read_meta,
+)
 from carecontact.errors import CarecontactError
-from carecontact.hosting.dialects.again import dialect_of, observation_again, unpacked
-from carecontact.observation.builder import RawReadings, derive
-from carecontact.observation.keypoints import KeypointEstimator, MediaPipePose
+from carecontact.sensing.builder import RawReadings, derive
+from carecontact.sensing.keypoints import KeypointEstimator, MediaPipePose
+from carecontact.serving.sent_message import dialect_of, rebuilt_message, unpacked_message
 
-BOOTSTRAP = """
+REDERIVE_BOOTSTRAP = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from carecontact.audit.no_simulator import refuse_simulators
+from carecontact.audit.finding import refuse_simulators
 refuse_simulators()
 from carecontact.audit.rederive import main
 main(sys.argv[2])
@@ -65,13 +73,13 @@ def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list
             modalities=meta.modalities,
             keypoints=keypoints,
         )
-        again = observation_again(observation, meta.arguments, meta.cameras, sent=look.sent)
+        again = rebuilt_message(observation, meta.arguments, meta.cameras, sent=look.sent)
     except CarecontactError as error:
         return [("observation", f"could not be recomputed: {error}")]
     if again == look.sent:
         return []
     dialect = dialect_of(meta.arguments)
-    told = differences(unpacked(again, dialect), unpacked(look.sent, dialect), "message")
+    told = differences(unpacked_message(again, dialect), unpacked_message(look.sent, dialect), "message")
     # Nor may the packing hide anything, for example in the order of keys.
     return [(place.removeprefix("message."), what) for place, what in told] or [
         ("message", "the same values are packed in other bytes")

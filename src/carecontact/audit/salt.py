@@ -9,18 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.contract.geometry import pose_matrix
-from carecontact.contract.policy import CAMERAS
-from carecontact.contract.trial import commitment
-from carecontact.episode.camera_poses import BELIEVED, TRUE
-from carecontact.episode.drawn import drawn, drawn_facts
-from carecontact.episode.randomization import calibration, streams
+from carecontact.episode.randomization import calibration, drawn, drawn_facts, streams
 from carecontact.errors import ConfigError
-from carecontact.observation.calibration import Calibration
+from carecontact.interface.geometry import pose_matrix
+from carecontact.interface.policy import CAMERAS
+from carecontact.protocol.protocol import commitment
 from carecontact.recording import Recording, read_recording
-from carecontact.runs.manifest import MANIFEST
-from carecontact.runs.salt import committed
-from carecontact.world.life import draw_shifts
+from carecontact.runs.manifest import MANIFEST, committed
+from carecontact.sensing.calibration import BELIEVED, TRUE, Calibration
+from carecontact.world.randomization import draw_shifts
 
 ARM_DEG = 3.0
 """How far [deg] from the drawn angle an arm may come to rest (assumed)."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from carecontact.audit.finding import Finding, Part
 from carecontact.errors import counted
 from carecontact.recording.schema import Recording
-from carecontact.trials.pace import BETWEEN, PACED
+from carecontact.running.pace import BETWEEN, PACED
 
 NAME, TITLE = "time", "wall time between two acts against contact"
 TELLS = 0.1

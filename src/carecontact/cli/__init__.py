@@ -1,4 +1,4 @@
-"""The ``carecontact`` command, one file per command: it parses, calls and prints."""
+"""The ``carecontact`` command: parses options, calls the packages, and prints what they return."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from types import FrameType
 
 from carecontact import __version__
-from carecontact.cli.streams import drop_if_gone, drop_output, prepare_streams
+from carecontact.cli.console import drop_if_gone, drop_output, prepare_streams
 from carecontact.errors import CarecontactError, ConfigError
 
 REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write", "--tissue", "--region")
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
-    from carecontact.cli.json_lines import OPTION, only_json
+    from carecontact.cli.console import OPTION, only_json
 
     as_json = OPTION in arguments
     command = _Command()
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_error_line(str(error)), file=sys.stderr)
         return _ended(as_json, type(error).__name__, str(error), 2)
     except OSError as error:
-        from carecontact.recording.storage import REMEDY, is_full
+        from carecontact.recording.file import REMEDY, is_full
 
         place = error.filename2 or error.filename or ("standard output or a file" if is_full(error) else None)
         told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
@@ -72,8 +72,7 @@ class _Command:
     """What an interruption leaves behind, once that is known."""
 
     def run(self, arguments: Sequence[str]) -> int:
-        from carecontact.cli.commands import parse
-        from carecontact.cli.spelling import with_synonyms
+        from carecontact.cli.parsing import parse, with_synonyms
 
         _stop_as_interrupted()
         _readable(arguments)
@@ -97,11 +96,11 @@ def _module_of(error: BaseException) -> str:
 
 def _ended(as_json: bool, error: str, message: str, status: int) -> int:
     """Tell a program that reads JSON why the command ended, and return the exit status."""
-    from carecontact.cli.json_lines import say_error
+    from carecontact.cli.console import print_error
 
     try:
         if as_json:
-            say_error(error, message, status)
+            print_error(error, message, status)
     except OSError:  # Standard output is full, of which standard error has already told.
         drop_output(sys.stdout.fileno())
     return status

@@ -1,21 +1,26 @@
-"""``carecontact audit``: checks that no policy receives what it must not know."""
+"""``carecontact audit``: checks that no policy receives what it must not know; ``carecontact salt`` checks a run's
+secret."""
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, SaltGroup, Switch
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from carecontact.audit.finding import Finding, Part
-    from carecontact.contract.protocol import Protocol
+    from carecontact.protocol.protocol import Protocol
+
+
+# ``carecontact audit``: checks that no policy receives what it must not know.
 
 SHOWN = 8
 """Largest number of findings of one part that are printed. The file has all of them."""
@@ -50,9 +55,9 @@ class Audit:
         """Return 1 if a part found a leak or examined nothing. Raises ConfigError for what cannot be audited."""
         from carecontact.audit.run import audit, write
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
-        from carecontact.episode.draws import body_of
         from carecontact.policies.registry import POLICIES, is_privileged
-        from carecontact.runs.preflight import check_protocol
+        from carecontact.runs.plan import check_protocol
+        from carecontact.world.randomization import body_of
 
         if self.run is not None:
             return self._audit_time(self.run)
@@ -106,7 +111,7 @@ class Audit:
     def _trials(self, rules: Protocol) -> tuple[list[str], int]:
         """Return the tasks that --tasks names (none by default) and the seed. Raises ConfigError for what the protocol
         does not have."""
-        from carecontact.cli.one_trial import check_seed
+        from carecontact.cli.groups import check_seed
         from carecontact.runs.plan import parse_tasks
 
         seeds = rules.randomization.seeds
@@ -117,7 +122,7 @@ class Audit:
 
     def _audit_time(self, run: Path) -> int:
         from carecontact.audit.wall_time import audit_time
-        from carecontact.cli.rescoring import need_recordings
+        from carecontact.cli.score import need_recordings
         from carecontact.recording import read_recording
 
         if self.policy or self.quick or self.tasks or self.seed is not None:
@@ -156,3 +161,57 @@ def _one(what: str) -> str:
 def _line(finding: Finding) -> str:
     whose = f"{finding.policy}: " if finding.policy else ""
     return f"{whose}{finding.place}: {' '.join(finding.told.split())}"
+
+
+# ``carecontact salt``: the secret of a run whose persons nobody may know beforehand.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Salt:
+    """Make a secret for `carecontact run --salt-file` and print its sha256, to be published before the run; reveal the
+    secret in a finished run; or verify that a run was made with the secret that it committed to."""
+
+    what: Annotated[Literal["make", "reveal", "verify"], tyro.conf.Positional]
+    """What to do: write a new secret into a file; write the secret into a run's manifest, where everybody can read it;
+    or check a run whose secret is revealed."""
+    place: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|RUN")]
+    """The file to make, or the folder of the run."""
+    salt_file: Path | None = None
+    """File with the secret of the run, for `reveal`."""
+
+    after_interrupt: ClassVar[str] = ""
+
+    def __call__(self) -> int:
+        """Return 1 if a run does not agree with its salt. Raises ConfigError as ``runs.salt`` and ``audit.salt``."""
+        if (self.what == "reveal") != (self.salt_file is not None):
+            raise ConfigError("--salt-file: `salt reveal RUN` needs it, and only that")
+        if self.what == "make":
+            from carecontact.runs.manifest import make_salt
+
+            print(
+                f"{self.place}: keep it secret until every run is done; its sha256, to be published before the first:"
+            )
+            print(make_salt(self.place))
+            return 0
+        return self._reveal() if self.what == "reveal" else self._verify()
+
+    def _reveal(self) -> int:
+        from carecontact.runs.lock import folder_lock
+        from carecontact.runs.manifest import read_salt, reveal_salt
+
+        assert self.salt_file is not None
+        with folder_lock(self.place):
+            reveal_salt(self.place, read_salt(self.salt_file))
+        command = f"carecontact salt verify {shlex.quote(str(self.place))}"
+        print(f"{self.place}: the salt is revealed; anyone can check it with `{command}`")
+        return 0
+
+    def _verify(self) -> int:
+        from carecontact.audit.salt import verify_salt
+
+        found = verify_salt(self.place)
+        for fault in found.faults:
+            print(fault)
+        looked_at = f"{counted(found.recordings, 'recording')}, {counted(found.draws, 'draw')} made again"
+        print(f"{'FAILED' if found.faults else 'verified'}: sha256 {found.sha256}, {looked_at}")
+        return 1 if found.faults else 0

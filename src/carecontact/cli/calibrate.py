@@ -14,8 +14,8 @@ from carecontact.cli.groups import FLAT, ChangedProtocolGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
-    from carecontact.calibration.certificate import Content, Value
-    from carecontact.calibration.trial import Setup
+    from carecontact.lab.calibration.certificate import Content, Value
+    from carecontact.lab.calibration.trial import Setup
 
 PERCENT = {
     "nrmse": "NRMSE",
@@ -63,7 +63,7 @@ class Calibrate:
     def __call__(self) -> int:
         """Return 1 if a calibration is rejected or a certificate does not verify."""
         if self.template:
-            from carecontact.calibration.trial import template
+            from carecontact.lab.calibration.trial import template
 
             print(template(), end="")
             return 0
@@ -73,8 +73,8 @@ class Calibrate:
             )
         if self.verify is not None:
             return _verify(self.trials, self.verify)
-        from carecontact.calibration.calibrate import calibrate
-        from carecontact.calibration.checks import regions_of
+        from carecontact.lab.calibration.calibrate import calibrate
+        from carecontact.lab.calibration.checks import regions_of
 
         rules = self.rules.load()
         for region in self.region:
@@ -100,7 +100,7 @@ class Calibrate:
 
     def _setup(self) -> Setup:
         """Return what the setup file states, replaced by what options state."""
-        from carecontact.calibration.trial import Setup, read_setup
+        from carecontact.lab.calibration.trial import Setup, read_setup
 
         stated: dict[str, Any] = {}
         if self.indenter is not None:
@@ -132,8 +132,8 @@ def _verify(trials: Sequence[Path], path: Path) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.calibration.certificate import read_certificate
-    from carecontact.calibration.verify import verify
+    from carecontact.lab.calibration.certificate import read_certificate
+    from carecontact.lab.calibration.verify import verify
 
     certificate = read_certificate(path)
     checks = verify(trials, certificate)
@@ -162,7 +162,7 @@ def _show(content: Content) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from carecontact.calibration.verdict import beyond
+    from carecontact.lab.calibration.certificate import beyond
 
     console = Console(highlight=False, width=None if Console().is_terminal else 120)
 

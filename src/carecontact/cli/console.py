@@ -1,13 +1,93 @@
-"""The terminal that tables are printed to."""
+"""How the command prints: streams, the terminal, lines of JSON, and the end of a policy's failure."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
 import os
-from typing import TYPE_CHECKING
+import select
+import stat
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
     from rich.console import Console
     from rich.table import Table
+
+    from carecontact.cli.answers import Answer
+
+
+# Standard output and standard error of a command whose terminal or reader may be absent, or go away.
+
+GONE = (errno.EIO, errno.EPIPE, errno.ECONNRESET)
+"""Errors of writing to a terminal, a pipe and a socket of which the other end is closed."""
+
+
+def prepare_streams() -> None:
+    """Make both streams usable to the command's end. Call this before any file is opened."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = cast("TextIO | None", getattr(sys, name))
+        if stream is None:
+            # Otherwise, the next file that is opened gets its number, and what libraries print goes into that file.
+            setattr(sys, name, open(os.devnull, "w"))
+        elif isinstance(stream, io.TextIOWrapper):
+            if stream.isatty() or _is_piped(stream, number):
+                stream.flush()  # What a program printed before it called this stays before it.
+                output = io.BufferedWriter(_Output(number, "w", closefd=False))
+                # At each line also where PYTHONUNBUFFERED is set.
+                lines = stream.line_buffering or stream.write_through
+                stream = io.TextIOWrapper(output, encoding=stream.encoding, line_buffering=lines)
+                setattr(sys, name, stream)
+            # A name out of a file or of a policy may hold what no terminal can show.
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _is_piped(stream: TextIO, number: int) -> bool:
+    """Return whether a stream still leads to its descriptor, and that to a pipe or a socket."""
+    try:
+        mode = os.fstat(stream.fileno()).st_mode
+    except OSError:  # The stream leads to no descriptor: a test caught what is printed.
+        return False
+    return stream.fileno() == number and (stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode))
+
+
+class _Output(io.FileIO):
+    """A terminal, pipe or socket. Once it is closed at the other end, further output is dropped: what a command does
+    and writes into files does not depend on who reads along, so that a disowned run and ``run | head`` go on."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno not in GONE:
+                raise
+            drop_output(self.fileno())
+            return memoryview(data).nbytes
+
+
+def drop_output(number: int) -> None:
+    """Let a file descriptor lead nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+
+
+def drop_if_gone(stream: TextIO | None) -> None:
+    """Drop further output if the terminal is gone or nobody reads the pipe any more, so that printing does not fail.
+
+    The function asks the system and writes nothing, because a terminal that is full and not read would keep the writer
+    waiting."""
+    if stream is None:
+        return
+    watch = select.poll()
+    # Without any event asked for, only hang-ups and errors are told.
+    watch.register(stream.fileno(), 0)
+    if watch.poll(0):
+        drop_output(stream.fileno())
+
+
+# The terminal that tables are printed to.
 
 
 def console(width: int) -> Console:
@@ -34,3 +114,71 @@ def p_text(value: float | None) -> str:
     if value is None:
         return "NA"
     return f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"
+
+
+# `--json`: standard output carries nothing but JSON, one object a line, and people read standard error.
+
+OPTION = "--json"
+_output: TextIO | None = None
+
+
+@contextlib.contextmanager
+def only_json(wanted: bool) -> Iterator[None]:
+    """Within the block, print to standard error, and let ``say`` alone write to standard output.
+
+    Args:
+        wanted: whether to do so; False leaves everything as it is.
+    """
+    global _output
+    if not wanted:
+        yield
+        return
+    _output = sys.stdout
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _output = None
+
+
+def print_answer(answer: Answer) -> None:
+    """Write one line without delay."""
+    print(answer.line(), file=_output or sys.stdout, flush=True)
+
+
+def print_error(error: str, message: str, status: int) -> None:
+    """Write the last line of a command that an error ended. ``error``: class of the error."""
+    from carecontact.cli.answers import ErrorAnswer
+
+    print_answer(ErrorAnswer(error=error, message=message, status=status))
+
+
+# The end of a policy's failure as a terminal shows it.
+
+TRACE_LINES, PRINTED_LINES = 6, 4
+"""Number of last lines of a traceback, and of what the policy printed, that are shown. The report has all lines."""
+
+
+def excerpt(message: str) -> list[str]:
+    """Return the end of the traceback or stack under a failure's first line, and of what the policy printed.
+
+    Empty where the message is one line.
+    """
+    from carecontact.recording.reason import PRINTED, TRACEBACK
+    from carecontact.serving.conversation import readable
+
+    said, _, printed = readable(message).partition(PRINTED)
+    _, _, trace = said.partition("\n")
+    lines = _last(trace, TRACE_LINES)
+    if len([line for line in lines if line != TRACEBACK]) < 2:
+        # Of a traceback that only had frames of ours, the exception alone is left: the reason, which stands above.
+        lines = []
+    if printed:
+        lines += ["it printed last:", *_last(printed, PRINTED_LINES)]
+    return [f"  | {line}" for line in lines]
+
+
+def _last(text: str, most: int) -> list[str]:
+    # Neither empty lines nor those in which a traceback only underlines.
+    lines = [line for line in text.splitlines() if line.strip(" ~^")]
+    return lines if len(lines) <= most else ["...", *lines[-most:]]

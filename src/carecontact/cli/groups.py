@@ -1,7 +1,9 @@
-"""Groups of options that several commands share, as fields of the type ``Annotated[Group, FLAT]``."""
+"""Options that several commands share, as fields of the type ``Annotated[Group, FLAT]``, and what they name: one trial,
+a place, stored scores."""
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,10 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
-    from carecontact.contract.protocol import Protocol
+    from carecontact.protocol.protocol import Protocol
+    from carecontact.runs.pooling import RunScores
+
+
+# Groups of options that several commands share, as fields of the type ``Annotated[Group, FLAT]``.
 
 FLAT = tyro.conf.arg(name="")
 """Marks a group whose options keep their own names, without the name of the field that holds the group."""
@@ -54,7 +60,7 @@ class ChangedProtocolGroup(ProtocolGroup):
         Raises UnknownNameError for a name that no protocol has, and ConfigError, which names the file, the field and
         what was expected.
         """
-        from carecontact.protocols import load_protocol
+        from carecontact.protocol.load import load_protocol
 
         return self.changed(load_protocol(self.protocol, level=self.level))
 
@@ -63,8 +69,7 @@ class ChangedProtocolGroup(ProtocolGroup):
 
         Raises ConfigError where two options replace one field, or a rejected calibration is not allowed.
         """
-        from carecontact.protocols import overridden
-        from carecontact.protocols.tissue_sets import check_accepted
+        from carecontact.protocol.overrides import check_accepted, overridden
 
         changes: dict[str, object] = {}
         for option, given in {"set": self._set(), **self._others(), **options}.items():
@@ -107,7 +112,7 @@ class RulesGroup(ChangedProtocolGroup):
 
 def check_body(name: str) -> None:
     """Raises ConfigError that blames --body for a body that does not exist or cannot be read."""
-    from carecontact.world.human.library import load_body
+    from carecontact.human.library import load_body
 
     try:
         load_body(name)
@@ -132,8 +137,7 @@ class PhysicsGroup:
     def changes(self, rules: Protocol) -> dict[str, Mapping[str, object]]:
         """Return the option's name -> the fields of ``rules`` that it replaces, as ``ChangedProtocolGroup.changed``
         takes them."""
-        from carecontact.protocols import FAST_DT_S
-        from carecontact.protocols.friction import friction_changes
+        from carecontact.protocol.overrides import FAST_DT_S, friction_changes
 
         changes: dict[str, Mapping[str, object]] = {}
         if self.tissue:
@@ -186,7 +190,7 @@ class SaltGroup:
     def salt(self) -> str:
         """The salt, which is empty without a file. Raises ConfigError for a file that cannot be read or holds no
         salt."""
-        from carecontact.runs.salt import read_salt
+        from carecontact.runs.manifest import read_salt
 
         return "" if self.salt_file is None else read_salt(self.salt_file)
 
@@ -220,3 +224,58 @@ class PolicyGroup(ArgumentsGroup):
     record: Path | None = None
     """File to which carecontact appends the answers of the model of --language live:MODEL, so that --language
     replay:FILE.jsonl can repeat them."""
+
+
+# The options --task and --seed of commands that look at one trial.
+
+
+def check_trial(rules: Protocol, *, task: str, seed: int) -> None:
+    """Check the options. Raises ConfigError for a task or seed that the protocol does not have."""
+    ids = [row.id for row in rules.tasks]
+    if task not in ids:
+        meant = did_you_mean(task, ids)
+        raise ConfigError(f"--task: {task!r} is not a task of {rules.id}{meant}; valid: {', '.join(ids)}")
+    check_seed(rules, seed=seed)
+
+
+def check_seed(rules: Protocol, *, seed: int) -> None:
+    """Check the option. Raises ConfigError for a seed that the protocol does not have."""
+    from carecontact.runs.plan import compact
+
+    if seed not in rules.randomization.seeds:
+        raise ConfigError(f"--seed: {seed} is not a seed of {rules.id}; valid: {compact(rules.randomization.seeds)}")
+
+
+# The place of a file that a command writes.
+
+
+def make_place(target: Path) -> None:
+    """Make the folder in which a file is to be written. Raises ConfigError where that cannot be done, and where the
+    file's name is that of a folder."""
+    if target.is_dir():
+        raise ConfigError(f"{target}: this is a folder; name a file")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        told = "this is a file" if isinstance(error, FileExistsError) else error.strerror
+        raise ConfigError(f"{target}: no folder can be made for it: {error.filename}: {told}") from None
+
+
+# Read the scores of a run for a command that shows them.
+
+
+def read_run(run: Path, *, rescore: bool | None = None) -> RunScores:
+    """Read the scores as ``read_scores`` does. For a folder of recordings, also print which registered metrics they
+    lack.
+
+    Args:
+        run: folder of a run, or its results file.
+        rescore: whether the option --rescore is given; None for a command that has no such option.
+    """
+    from carecontact.runs.scoring import lacking, read_scores
+
+    scores = read_scores(run, rescore=bool(rescore), otherwise="" if rescore is None else ", or add --rescore")
+    if any(run.glob("*.h5")) and (absent := lacking(scores)):
+        command = f"carecontact score {shlex.quote(str(run))} --append"
+        print(f"{run} was scored without {', '.join(absent)}; `{command}` adds what is missing")
+    return scores

@@ -64,31 +64,31 @@ class List:
 
 
 def _say(kinds: Sequence[str], *, protocol: str) -> None:
-    from carecontact.cli.answers.names import ListAnswer, Name
-    from carecontact.cli.json_lines import say
+    from carecontact.cli.answers import ListAnswer, Name
+    from carecontact.cli.console import print_answer
 
     rows = {kind: KINDS[kind](protocol) for kind in kinds}
     names = {kind: [Name(name=name, meaning=meaning) for name, meaning in of_kind] for kind, of_kind in rows.items()}
-    say(ListAnswer(names=names))
+    print_answer(ListAnswer(names=names))
 
 
 def _tasks(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocols import load_levels
+    from carecontact.protocol.load import load_levels
 
     rules = next(iter(load_levels(protocol).values()))
     return [(task.id, f"{task.name}: {task.prompt!r}") for task in rules.tasks]
 
 
 def _actions(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.contract.protocol import BEHAVIOURS
-    from carecontact.protocols import load_protocol
+    from carecontact.protocol.gates import BEHAVIOURS
+    from carecontact.protocol.load import load_protocol
 
     gates = load_protocol(protocol).gates.set
     return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.under(gates).gate.model_fields) or 'no fields'}")
 
 
 def _regions(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.regions import REGIONS, Region, all_regions
+    from carecontact.interface.regions import REGIONS, Region, all_regions
 
     def meaning(row: Region) -> str:
         return f"{'soft' if row.soft else 'rigid'}, on {row.segment.replace('_', ' ')}"
@@ -98,8 +98,7 @@ def _regions(protocol: str) -> list[tuple[str, str]]:
 
 
 def _segments(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.regions import JOINTS, SEGMENTS
-    from carecontact.regions.anatomy import LIMB_PARTS
+    from carecontact.interface.regions import JOINTS, LIMB_PARTS, SEGMENTS
 
     rows = [(name, "Body segment: a value of `segment` and `neighbourhood` of a region.") for name in SEGMENTS]
     rows += [(name, "Limb part: a value of `closed_by` in a region's shape.") for name in LIMB_PARTS]
@@ -107,19 +106,19 @@ def _segments(protocol: str) -> list[tuple[str, str]]:
 
 
 def _spaces(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.contract.action import ACTION_SPACES
+    from carecontact.interface.action import ACTION_SPACES
 
     return _rows(ACTION_SPACES, lambda row: f"{row.description} Fields: {', '.join(row.fields)}.")
 
 
 def _controls(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.contract.control import CONTROLS
+    from carecontact.interface.robot import CONTROLS
 
     return _rows(CONTROLS, lambda row: row.description)
 
 
 def _robots(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.contract.embodiment import EMBODIMENTS
+    from carecontact.interface.robot import EMBODIMENTS
 
     return _rows(EMBODIMENTS, lambda row: f"{row.id}, {len(row.joints)} joints: `scene.tool` of a protocol, --tool.")
 
@@ -136,7 +135,7 @@ def _policies(protocol: str) -> list[tuple[str, str]]:
 
 def _arguments(target: str) -> str:
     """Return what --policy-arg may give to a policy."""
-    from carecontact.hosting.arguments import load_factory, parameters_of
+    from carecontact.serving.arguments import load_factory, parameters_of
 
     try:
         parameters = parameters_of(load_factory(target))
@@ -147,14 +146,14 @@ def _arguments(target: str) -> str:
 
 
 def _protocols(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocols import load_levels, shipped_protocols
+    from carecontact.protocol.load import load_levels, shipped_protocols
 
     loaded = [rules for name in shipped_protocols() for rules in load_levels(name).values()]
     return [(p.name, f"{'frozen' if p.frozen else 'draft'}: {p.description} sha256 {p.sha256[:12]}") for p in loaded]
 
 
 def _bodies(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.world.human.library import body_names, load_body
+    from carecontact.human.library import body_names, load_body
 
     sexes = {"F": "woman", "M": "man"}
     rows = [
@@ -169,7 +168,7 @@ def _bodies(protocol: str) -> list[tuple[str, str]]:
 
 
 def _tissue(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocols.tissue_sets import load_tissue_set, shipped_tissue_sets
+    from carecontact.protocol.overrides import load_tissue_set, shipped_tissue_sets
 
     loaded = {name: load_tissue_set(name) for name in shipped_tissue_sets()}
     rows = [(name, f"{s.description} sha256 {s.sha256[:12]}") for name, s in loaded.items()]

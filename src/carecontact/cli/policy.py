@@ -2,23 +2,174 @@
 
 from __future__ import annotations
 
+import ast
+import difflib
+import fcntl
 import os
 import re
+import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from carecontact.cli.excerpt import excerpt
-from carecontact.cli.groups import PolicyGroup
-from carecontact.cli.language import chosen_language
-from carecontact.cli.policy_names import meant
-from carecontact.contract.policy import PolicyCard, check_arguments, check_variables
-from carecontact.contract.policy_ref import API_KEY, PolicyRef
+from carecontact.cli.console import excerpt
+from carecontact.cli.groups import PolicyGroup, VisionGroup
 from carecontact.errors import ConfigError, ContractError, PolicyError, UnknownNameError
-from carecontact.hosting.opening import open_policy
-from carecontact.hosting.setup import PolicySetup
+from carecontact.interface.policy import API_KEY, PolicyCard, PolicyRef, check_arguments, check_variables
+from carecontact.policies.language.live import language_name
 from carecontact.policies.registry import POLICIES, is_privileged
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import Protocol
 from carecontact.recording.reason import reason
+from carecontact.serving.conversation import PolicySetup
+from carecontact.serving.opening import open_policy
+
+# --language and --record: the arguments ``language`` and ``record`` of a policy, checked before a run.
+
+SPELLED = {"rules-v1": "rules-v1", "replay": "replay:FILE.jsonl", "live": "live:MODEL"}
+"""Kind of language backend -> how a command line names one."""
+
+
+def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, str]) -> tuple[str | None, str | None]:
+    """Return ``language`` and ``record`` for the policy, with paths that hold in every folder, or None.
+
+    A registered policy with language backends may be given both as --policy-arg too, which takes them out of
+    ``arguments``.
+
+    Raises UnknownNameError; ConfigError for a policy that takes no such language, a file that is not a replay file, or
+    a record without a live model; DependencyError for ``live:`` without its package.
+    """
+    kinds = POLICIES[ref.text].languages if ref.kind == "registered" else ()
+    language, record = options.language, options.record
+    if kinds:
+        language = _one("language", language, arguments.pop("language", None))
+        place = _one("record", None if record is None else str(record), arguments.pop("record", None))
+        record = None if place is None else Path(place)
+    if record is not None:
+        if not (language or "").startswith("live:"):
+            raise ConfigError("--record needs --language live:MODEL")
+        _check_record(record)
+    if language is None:
+        return None, None
+    kind, colon, place = language.partition(":")
+    if ref.kind == "registered" and kind not in kinds:
+        takes = (
+            f"takes {' or '.join(SPELLED[kind] for kind in kinds)}" if kinds else "has no language backend to choose"
+        )
+        raise ConfigError(f"--language {language}: policy {ref} {takes}")
+    if kind == "replay" and not place:
+        raise ConfigError(f"--language {language}: expected a file after it, as in replay:said.jsonl")
+    spelled = f"replay:{os.path.abspath(place)}" if kind == "replay" and colon else language
+    language_name(spelled)
+    return spelled, None if record is None else os.path.abspath(record)
+
+
+def _one(name: str, option: str | None, argument: str | None) -> str | None:
+    if option is not None and argument is not None:
+        raise ConfigError(f"--{name} and --policy-arg {name}= mean the same; give only one of them")
+    return argument if option is None else option
+
+
+def _check_record(record: Path) -> None:
+    if not os.path.isdir(os.path.dirname(os.path.abspath(record))):
+        raise ConfigError(f"--record {record}: the folder {record.parent} does not exist")
+    if os.path.exists(record) and not os.path.isfile(record):
+        raise ConfigError(f"--record {record}: expected a new or regular file, got a folder, pipe or device")
+    try:
+        # Trials append to it at the same time.
+        with tempfile.TemporaryFile(dir=os.path.dirname(os.path.abspath(record))) as beside:
+            fcntl.flock(beside, fcntl.LOCK_EX)
+    except OSError as error:
+        raise ConfigError(
+            f"--record {record}: no file in its folder can be written and locked ({error.strerror}); name a file on "
+            "another mount"
+        ) from None
+
+
+# Guesses, from the files of the current folder, which policy a wrong --policy meant. Nothing is imported.
+
+
+def suggestion(policy: str, folder: Path) -> str:
+    """Return `` (did you mean my_policy:MyPolicy?)``, or an empty text if no file of the folder has a similar name.
+
+    Args:
+        policy: as it was typed: a name, ``my_policy.py``, ``my_policy.MyPolicy``, ``my_policy:MyPolcy`` or
+            ``folder/my_polcy.py:MyPolicy``.
+        folder: where modules are looked for first.
+    """
+    dotted, _, wanted = policy.partition(":") if ":" in policy else _last_part(policy)
+    if dotted.endswith(".py"):
+        file = (folder / dotted).resolve()
+        if not file.is_relative_to(folder.resolve()):
+            names = " or ".join(f"{file.stem}:{name}" for name in classes(file)[:3])
+            return f" (did you mean {names}, given in the folder {file.parent}?)" if names else ""
+        dotted = str(file.relative_to(folder.resolve()))
+    place, _, module = dotted.removesuffix(".py").replace("/", ".").lstrip(".").rpartition(".")
+    folder = folder.joinpath(*place.split("."))
+    close = difflib.get_close_matches(module, sorted(path.stem for path in folder.glob("*.py")), n=1)
+    found = classes(folder / f"{close[0]}.py") if close else []
+    if not found:
+        return ""
+    target = f"{place}.{close[0]}".lstrip(".")
+    nearest = difflib.get_close_matches(wanted, found, n=1) or found
+    names = " or ".join(f"{target}:{name}" for name in nearest[:3] if f"{target}:{name}" != policy)
+    return f" (did you mean {names}?)" if names else ""
+
+
+def _last_part(policy: str) -> tuple[str, str, str]:
+    """Split ``my_policy.MyPolicy``, which has a dot where the colon belongs, at that dot. The name of a file is not
+    split."""
+    if policy.endswith(".py") or "." not in policy:
+        return policy, "", ""
+    return policy.rpartition(".")
+
+
+def classes(file: Path) -> list[str]:
+    """Return the classes of a module that have a method ``act``, or all classes if none has."""
+    with suppress(OSError, SyntaxError, ValueError):
+        made = [node for node in ast.parse(file.read_bytes()).body if isinstance(node, ast.ClassDef)]
+        acting = [node.name for node in made if any(getattr(part, "name", "") == "act" for part in node.body)]
+        return acting or [node.name for node in made]
+    return []
+
+
+# --segmenter and --weights, checked before a run.
+
+
+def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
+    """Return the protocol with the options' segmenter, if they name one, and load its models once, since every trial
+    would fail in the same way.
+
+    Raises ConfigError for weights that nothing uses, that are missing, or that do not load; DependencyError.
+    """
+    segmenter, weights = options.segmenter, options.weights
+    name = segmenter or protocol.vision.segmenter
+    if name == "mediapipe":
+        if weights is not None:
+            raise ConfigError(f"--weights {weights}: only --segmenter grounded-sam takes weights")
+        return _replaced(protocol, name, "")
+    if weights is None:
+        raise ConfigError("--segmenter grounded-sam: also give --weights DIR, a folder with grounding-dino/ and sam/")
+    from carecontact.sensing.grounded_sam import GroundedSam, weights_sha256
+
+    try:
+        sha256 = weights_sha256(weights)
+        GroundedSam(weights)
+    except ConfigError as error:
+        raise ConfigError(f"--weights {error}") from None
+    named = protocol.vision.weights_sha256
+    if segmenter is None and sha256 != named:
+        raise ConfigError(
+            f"--weights {weights}: sha256 {sha256[:12]}, protocol {protocol.name} names {named[:12]}; add "
+            "--segmenter grounded-sam to use these weights instead"
+        )
+    return _replaced(protocol, name, sha256)
+
+
+def _replaced(protocol: Protocol, segmenter: str, weights_sha256: str) -> Protocol:
+    return overridden(protocol, {"vision.segmenter": segmenter, "vision.weights_sha256": weights_sha256})
+
 
 CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
 """Environment variable for USER:PASSWORD of a remote policy, which keeps them out of the shell's history."""
@@ -37,11 +188,11 @@ def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
     try:
         ref = PolicyRef.parse(policy)
     except ConfigError as error:
-        raise ConfigError(f"{error}{meant(policy, Path.cwd())}") from None
+        raise ConfigError(f"{error}{suggestion(policy, Path.cwd())}") from None
     try:
         return _setup(ref, options)
     except UnknownNameError as error:
-        if nearest := meant(policy, Path.cwd()):
+        if nearest := suggestion(policy, Path.cwd()):
             raise ConfigError(f"{error}{nearest}") from None
         raise
 
@@ -110,7 +261,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
         place = f" (looked in {setup.search_path[0]} first)" if setup.ref.kind == "importable" else ""
         where = "does not answer as a policy server" if setup.ref.kind == "remote" else f"does not start{place}"
         why = reason(str(error)).removeprefix(f"policy {setup.ref.text!r} failed at start: ")
-        nearest = meant(setup.ref.text, Path.cwd()) if NOT_FOUND.search(str(error)) else ""
+        nearest = suggestion(setup.ref.text, Path.cwd()) if NOT_FOUND.search(str(error)) else ""
         raise ConfigError(
             "\n".join(
                 [

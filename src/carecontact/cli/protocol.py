@@ -1,7 +1,11 @@
-"""``carecontact protocol``: what the rules are, and whether they equal their lock."""
+"""``carecontact protocol``: what the rules are, whether they equal their lock, and whether the robot can serve every
+seed."""
 
 from __future__ import annotations
 
+import secrets
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -12,9 +16,93 @@ from carecontact.cli.groups import FLAT, JsonGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from carecontact.episode.placed_persons import PlacementSurvey
+    from carecontact.protocol.protocol import Protocol
 
-    from carecontact.contract.protocol import Protocol
+
+# ``carecontact protocol feasible``: whether the robot can serve every seed of a protocol that parks it.
+
+
+def feasible(levels: Sequence[Protocol], *, seeds: str, salts: int, picture: Path | None, json: bool) -> int:
+    """Survey every seed on every level that parks the robot, and print a line for each level.
+
+    Args:
+        seeds: as ``--seeds`` of ``carecontact run``.
+        salts: how many salted seeds besides, each with a fresh salt.
+        picture: file for the map; None draws no map.
+
+    Returns 1 if a seed is not feasible. Raises ConfigError for levels of which none parks the robot.
+    """
+    from carecontact.episode.placed_persons import draw_map, survey_placement
+    from carecontact.runs.plan import parse_seeds
+
+    if salts < 0:
+        raise ConfigError(f"--salts {salts}: expected 0 or more")
+    parking = [rules for rules in levels if rules.variation.parking is not None]
+    if not parking:
+        names = ", ".join(rules.name for rules in levels)
+        raise ConfigError(f"{names}: the robot stands at scene.robot_base_m in every trial; nothing is drawn")
+    if picture is not None and picture.suffix not in (".png", ".svg"):
+        raise ConfigError(f"--picture {picture}: expected a .png or .svg file")
+    wanted = [(seed, "") for seed in parse_seeds(seeds, protocol=parking[0])]
+    wanted += [(number, secrets.token_hex(16)) for number in range(salts)]
+    rows: list[tuple[Protocol, list[PlacementSurvey]]] = []
+    for rules in parking:
+        found = [survey_placement(rules, seed, salt=salt) for seed, salt in wanted]
+        rows.append((rules, found))
+        _print(rules, found)
+        if json:
+            _say(rules, found)
+    if picture is not None:
+        draw_map(picture, rows)
+        print(f"map: {picture}")
+    return 0 if all(each.found is not None for _, found in rows for each in found) else 1
+
+
+def _print(rules: Protocol, found: Sequence[PlacementSurvey]) -> None:
+    served = [each for each in found if each.found is not None]
+    print(f"{rules.name}: {len(served)} of {len(found)} seeds feasible")
+    for each in found:
+        if each.found is None:
+            print(f"  not feasible: {each.why}")
+    again: Counter[str] = Counter()
+    for each in served:
+        assert each.found is not None
+        for lost in each.found.rejected:
+            again[f"{each.found.body}, {lost.region.replace('_', ' ') or 'does not come to rest'}"] += 1
+    print(f"  persons drawn again: {sum(again.values())}" + "".join(f"; {n} {what}" for what, n in again.most_common()))
+    for region in rules.regions:
+        draws = sorted(each.draws[region] for each in served)
+        if draws:
+            print(f"  {region}: bases drawn, median {draws[len(draws) // 2]}, most {draws[-1]}")
+    refused: Counter[str] = sum((each.refused for each in served), Counter())
+    print("  bases refused: " + (", ".join(f"{n} {reason}" for reason, n in refused.most_common()) or "none"))
+
+
+def _say(rules: Protocol, found: Sequence[PlacementSurvey]) -> None:
+    from carecontact.cli.answers import FeasibleSeed, ProtocolFeasibleAnswer, RejectedPerson
+    from carecontact.cli.console import print_answer
+
+    def part(each: PlacementSurvey) -> FeasibleSeed:
+        lost = [] if each.found is None else each.found.rejected
+        return FeasibleSeed(
+            seed=each.seed, salted=bool(each.salt), feasible=each.found is not None,
+            body=None if each.found is None else each.found.body, draws=each.draws, refused=dict(each.refused),
+            rejected=[
+                RejectedPerson(
+                    comfort_arm_deg=one.posture.comfort_arm_deg, palm_deg=one.posture.palm_deg,
+                    shoulder_rotation_deg=one.posture.shoulder_rotation_deg, region=one.region,
+                    refused=dict(Counter(one.refused)),
+                )
+                for one in lost
+            ],
+        )  # fmt: skip
+
+    served = all(each.found is not None for each in found)
+    print_answer(ProtocolFeasibleAnswer(id=rules.name, feasible=served, seeds=[part(each) for each in found]))
+
+
+# ``carecontact protocol``: what the rules are, and whether they equal their lock.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +140,6 @@ class Protocols:
         if self.what == "show":
             return show(self.name, self._levels())
         if self.what == "feasible":
-            from carecontact.cli.feasible import feasible
-
             picture = self.picture or (None if self.output.json else Path("feasible.png"))
             return feasible(self._levels(), seeds=self.seeds, salts=self.salts, picture=picture, json=self.output.json)
         each = {"verify": verify, "lock": lock}[self.what]
@@ -61,7 +147,7 @@ class Protocols:
 
     def _levels(self) -> list[Protocol]:
         """Return the level that was named, or all levels; for a protocol without levels, return the protocol alone."""
-        from carecontact.protocols import load_levels, load_protocol
+        from carecontact.protocol.load import load_levels, load_protocol
 
         if self.level is not None:
             return [load_protocol(self.name, level=self.level)]
@@ -69,24 +155,24 @@ class Protocols:
 
 
 def say_list() -> None:
-    from carecontact.cli.answers.protocol import Listed, ProtocolListAnswer
-    from carecontact.cli.json_lines import say
-    from carecontact.protocols import load_levels, shipped_protocols
+    from carecontact.cli.answers import Listed, ProtocolListAnswer
+    from carecontact.cli.console import print_answer
+    from carecontact.protocol.load import load_levels, shipped_protocols
 
     loaded = [rules for name in shipped_protocols() for rules in load_levels(name).values()]
     rows = [Listed(id=p.name, sha256=p.sha256, frozen=p.frozen, description=p.description) for p in loaded]
-    say(ProtocolListAnswer(protocols=rows))
+    print_answer(ProtocolListAnswer(protocols=rows))
 
 
 def say_fields(name: str, levels: Sequence[Protocol]) -> None:
     """Write one answer for each level."""
-    from carecontact.cli.answers.protocol import ProtocolShowAnswer
-    from carecontact.cli.json_lines import say
-    from carecontact.protocols.lock import lock_path, read_lock
+    from carecontact.cli.answers import ProtocolShowAnswer
+    from carecontact.cli.console import print_answer
+    from carecontact.protocol.lock import lock_path, read_lock
 
     for protocol in levels:
         held = read_lock(name, level=protocol.level)
-        say(
+        print_answer(
             ProtocolShowAnswer(
                 id=protocol.name,
                 sha256=protocol.sha256,
@@ -100,12 +186,8 @@ def say_fields(name: str, levels: Sequence[Protocol]) -> None:
 def show(name: str, levels: Sequence[Protocol]) -> int:
     """Print the file as it was written, with its comments, under a summary of its hashes, locks and tissue; of a file
     with a base, print the protocol that comes out. Of a single level of several, print that level's own table."""
-    from carecontact.protocols import protocol_file
-    from carecontact.protocols.inherit import ancestry
-    from carecontact.protocols.levels import split, tables
-    from carecontact.protocols.load import merged_table
-    from carecontact.protocols.lock import lock_path, read_lock
-    from carecontact.protocols.toml_text import toml_text
+    from carecontact.protocol.load import ancestry, merged_table, protocol_file, split, tables, toml_text
+    from carecontact.protocol.lock import lock_path, read_lock
 
     for protocol in levels:
         held = read_lock(name, level=protocol.level)
@@ -132,10 +214,10 @@ def show(name: str, levels: Sequence[Protocol]) -> int:
 
 def verify(name: str, protocol: Protocol, *, json: bool = False) -> int:
     """Return 1 if anything differs from the lock, including the compiled worlds, or if there is no lock."""
-    from carecontact.cli.answers.protocol import ProtocolVerifyAnswer
-    from carecontact.cli.json_lines import say
-    from carecontact.protocols.lock import lock_path
-    from carecontact.runs.freeze import drift, is_borrowed, lock_of, make_lock
+    from carecontact.cli.answers import ProtocolVerifyAnswer
+    from carecontact.cli.console import print_answer
+    from carecontact.protocol.lock import lock_path
+    from carecontact.runs.identity import drift, is_borrowed, lock_of, make_lock
 
     lock = lock_of(name, protocol)
     differences = [] if lock is None else drift(lock, make_lock(protocol))
@@ -155,15 +237,15 @@ def verify(name: str, protocol: Protocol, *, json: bool = False) -> int:
         print(f"{protocol.name}: {'differs from its lock' if differences else 'equals its lock'}")
     equal = lock is not None and not differences
     if json:
-        say(ProtocolVerifyAnswer(id=protocol.name, equal=equal, differences=differences))
+        print_answer(ProtocolVerifyAnswer(id=protocol.name, equal=equal, differences=differences))
     return 0 if equal else 1
 
 
 def lock(name: str, protocol: Protocol, *, json: bool = False) -> int:
     """Write FILE.lock.json beside the user's own protocol file."""
-    from carecontact.protocols import shipped_protocols
-    from carecontact.protocols.lock import lock_path, write_lock
-    from carecontact.runs.freeze import make_lock
+    from carecontact.protocol.load import shipped_protocols
+    from carecontact.protocol.lock import lock_path, write_lock
+    from carecontact.runs.identity import make_lock
 
     path = lock_path(name, level=protocol.level)
     if name in shipped_protocols():
@@ -180,8 +262,8 @@ def lock(name: str, protocol: Protocol, *, json: bool = False) -> int:
     write_lock(make_lock(protocol), path)
     print(path)
     if json:
-        from carecontact.cli.answers.protocol import ProtocolLockAnswer
-        from carecontact.cli.json_lines import say
+        from carecontact.cli.answers import ProtocolLockAnswer
+        from carecontact.cli.console import print_answer
 
-        say(ProtocolLockAnswer(id=protocol.name, lock=str(path)))
+        print_answer(ProtocolLockAnswer(id=protocol.name, lock=str(path)))
     return 0

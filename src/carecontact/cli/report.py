@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -9,10 +10,79 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.groups import Switch
-from carecontact.errors import ConfigError
+from carecontact.errors import CarecontactError, ConfigError, RecordingError, counted
 
 if TYPE_CHECKING:
-    from carecontact.runs.run_scores import RunScores
+    from carecontact.report.trial_page import Beside
+    from carecontact.runs.pooling import RunScores
+
+
+# Write the pages of trials, for ``carecontact report``.
+
+
+def write_page_of(file: Path) -> Path:
+    """Score one recording, write the page of its trial into the folder ``trial`` beside it, and return the page's path.
+
+    Raises RecordingError, naming the file, for one that cannot be read, scored or drawn.
+    """
+    from carecontact.recording import read_recording
+    from carecontact.report.trial_page import write_trial_page
+    from carecontact.runs.pooling import RunScores
+    from carecontact.scoring import score_recording
+
+    recording = read_recording(file)
+    score = score_recording(recording)
+    beside = policies_beside(file.parent, RunScores(scores=[score]))
+    return write_trial_page(file.parent, recording, score, beside=beside)
+
+
+def write_trial_pages(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
+    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn.
+
+    Args:
+        baselines: runs of blind baselines to show beside the trials; without any, those of the last report.
+    """
+    from carecontact.recording import open_recording
+    from carecontact.report.links import FOLDER
+    from carecontact.report.trial_page import write_trial_page
+
+    beside, done = policies_beside(folder, run, baselines), 0
+    for score in run.scores:
+        try:
+            recording = open_recording(folder / f"{score.trial_id}.h5", sha256=score.recording_sha256)
+            write_trial_page(folder, recording, score, beside=beside)
+            done += 1
+        except RecordingError as error:
+            print(f"no page of {score.trial_id}: {error}")
+    print(f"pages of {counted(done, 'trial')}: {folder / FOLDER}")
+
+
+def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()) -> list[Beside]:
+    """Return the runs that the pages of trials show beside a run: the named baselines, or else those of its last
+    report, and the kept scores of the shipped policies. One that cannot be read or compared is left out; the report
+    says why."""
+    from carecontact.report.baselines import check_baselines, completed_from_shipped_scores, shipped_scores_for
+    from carecontact.report.trial_page import Beside
+    from carecontact.runs.results_file import remembered
+    from carecontact.runs.scoring import read_scores
+
+    named: list[RunScores] = []
+    found: list[Beside] = []
+    try:
+        places = list(baselines) or list(remembered(folder).values())
+    except CarecontactError:
+        places = []
+    for place in places:
+        try:
+            scores = read_scores(place)
+            check_baselines(run, [*named, scores])
+        except CarecontactError:
+            continue
+        named.append(scores)
+        found.append(Beside.of(completed_from_shipped_scores(run, scores), place if place.is_dir() else place.parent))
+    kept, _ = shipped_scores_for(run, named)
+    return [*found, *map(Beside.of, kept)]
+
 
 Place = Annotated[
     Path,
@@ -39,15 +109,13 @@ class Report:
     after_interrupt: ClassVar[str] = ""
 
     def __call__(self) -> int:
-        from carecontact.cli.report_page import write_page
-        from carecontact.cli.rescoring import need_recordings
-        from carecontact.cli.stored import read_run
-        from carecontact.cli.trial_pages import write_trial_pages
-        from carecontact.runs.alone import alone
+        from carecontact.cli.groups import read_run
+        from carecontact.cli.score import need_recordings, write_page
+        from carecontact.runs.lock import folder_lock
 
         if self.place.is_file():
             return self._one_trial()
-        with alone(self.place):
+        with folder_lock(self.place):
             need_recordings(self.place)
             run = read_run(self.place, rescore=self.rescore)
             _need_rows(self.place, run)
@@ -58,7 +126,6 @@ class Report:
 
     def _one_trial(self) -> int:
         """Write the page of one trial. Raises ConfigError for an option that only a run's report has."""
-        from carecontact.cli.trial_pages import write_page_of
 
         if self.place.suffix != ".h5":
             raise ConfigError(
@@ -77,9 +144,9 @@ def _need_rows(folder: Path, run: RunScores) -> None:
 
     Raises ConfigError if no recording could be scored, and RecordingError, which names the recording and its
     package, for an action or a region that nothing here registers: the report that is there stays."""
-    from carecontact.contract.protocol import BEHAVIOURS
+    from carecontact.interface.regions import REGIONS
+    from carecontact.protocol.gates import BEHAVIOURS
     from carecontact.recording import read_header
-    from carecontact.regions import REGIONS
 
     if not run.scores:
         why = next(iter(run.skipped.values()), "there are none")

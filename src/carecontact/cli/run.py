@@ -1,16 +1,22 @@
-"""``carecontact run``: plan, run what is missing, score, report."""
+"""``carecontact run``: plan, run what is missing, score, report; ``carecontact demo`` does it once for the seven
+tasks."""
 
 from __future__ import annotations
 
+import json
 import shlex
+import time
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
+from carecontact.cli.console import print_answer
 from carecontact.cli.groups import (
     FLAT,
     EngineGroup,
+    JobsGroup,
     JsonGroup,
     PhysicsGroup,
     PolicyGroup,
@@ -19,20 +25,81 @@ from carecontact.cli.groups import (
     Switch,
     VisionGroup,
 )
-from carecontact.cli.run_lines import say_run, say_trial
-from carecontact.errors import ConfigError, counted
+from carecontact.errors import ConfigError, RecordingError, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carecontact.contract.policy import PolicyCard
-    from carecontact.contract.protocol import Protocol
-    from carecontact.contract.trial import TrialSpec
-    from carecontact.hosting.setup import PolicySetup
+    from carecontact.interface.policy import PolicyCard
+    from carecontact.protocol.protocol import Protocol, TrialSpec
+    from carecontact.running.scorer import Scorer
+    from carecontact.running.supervisor import RunSummary, TrialEvent
     from carecontact.runs.manifest import Purpose
-    from carecontact.runs.run_scores import RunScores
-    from carecontact.trials.scorer import Scorer
-    from carecontact.trials.supervisor import RunSummary, TrialEvent
+    from carecontact.runs.pooling import RunScores
+    from carecontact.scoring.result import TrialScore
+    from carecontact.serving.conversation import PolicySetup
+
+
+# The lines of JSON that `carecontact run --json` prints.
+
+
+def say_trial(event: TrialEvent, folder: Path, scorer: Scorer) -> None:
+    """Write how a trial ended, if the event is its end.
+
+    Args:
+        scorer: was given the trials that ran.
+    """
+    from carecontact.cli.result_answers import TrialAnswer
+
+    if event.kind not in ("kept", "finished") or event.ended is None:
+        return
+    kept = event.kind == "kept"
+    # An earlier command may have kept many, and results.json has the scores of all of them in the end.
+    score = None if kept else scorer.score_of(folder / f"{event.trial_id}.h5")
+    print_answer(
+        TrialAnswer(
+            trial_id=event.trial_id,
+            ended=event.ended,
+            kept=kept,
+            done=event.done,
+            total=event.total,
+            message=event.message,
+            score=score,
+        )
+    )
+
+
+def say_run(spec: TrialSpec, folder: Path, summary: RunSummary, *, status: int) -> None:
+    """Write the summary of the run.
+
+    Args:
+        spec: any trial of the run.
+    """
+    from carecontact.cli.result_answers import RunAnswer, RunProtocol
+    from carecontact.cli.score import RESULTS
+
+    try:
+        results = json.loads((folder / RESULTS).read_bytes())
+    except FileNotFoundError:
+        results = {"overall": None, "skipped": {}}
+    protocol = spec.protocol
+    print_answer(
+        RunAnswer(
+            folder=str(folder),
+            policy=spec.policy,
+            protocol=RunProtocol(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
+            ended=summary.ended,
+            ran=list(summary.ran),
+            kept=list(summary.kept),
+            late=summary.late,
+            skipped=results["skipped"],
+            overall=results["overall"],
+            status=status,
+        )
+    )
+
+
+# ``carecontact run``: plan, run what is missing, score, report.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,14 +164,11 @@ class Run:
 
         A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
         from carecontact.cli.policy import check_policy, policy_setup
-        from carecontact.runs.alone import alone
-        from carecontact.runs.manifest import runs_beside
-        from carecontact.runs.plan import parse_seeds, parse_tasks, plan_trials, with_noise_salt
-        from carecontact.runs.salt import with_salt
-        from carecontact.runs.shard import Shard
-        from carecontact.trials.engines import check_engine
-        from carecontact.trials.pace import check_pace
-        from carecontact.trials.supervisor import check_jobs
+        from carecontact.running.pace import check_pace
+        from carecontact.running.supervisor import check_engine, check_jobs
+        from carecontact.runs.lock import folder_lock
+        from carecontact.runs.manifest import runs_beside, with_salt
+        from carecontact.runs.plan import Shard, parse_seeds, parse_tasks, plan_trials, with_noise_salt
 
         check_jobs(self.parallel.jobs)
         check_pace(self.pace)
@@ -118,7 +182,7 @@ class Run:
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
-            held.enter_context(alone(self.out, make=True))
+            held.enter_context(folder_lock(self.out, make=True))
             closed = replace(setup, closed=(*setup.closed, *runs_beside(self.out)))
             card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
             planned = plan_trials(
@@ -132,7 +196,7 @@ class Run:
             planned = with_noise_salt(with_salt(planned, salt), self.noise_salt, one_of_several=shard is not None)
             specs = planned if shard is None else shard.of(planned)
             if self.restart and restart(self.out):
-                held.enter_context(alone(self.out, make=True))
+                held.enter_context(folder_lock(self.out, make=True))
             whole = [spec.trial_id for spec in planned]
             return self._run(specs, setup, card=card, purpose=purpose, whole=whole)
 
@@ -140,9 +204,9 @@ class Run:
         self, specs: list[TrialSpec], setup: PolicySetup, *, card: PolicyCard | None, purpose: Purpose, whole: list[str]
     ) -> int:
         from carecontact.cli.policy import arguments_text
+        from carecontact.running.scorer import Scorer
+        from carecontact.running.workers import available_cores
         from carecontact.runs import write_scores
-        from carecontact.trials.scorer import Scorer
-        from carecontact.trials.workers import available_cores
 
         title = specs[0].protocol.title
         part = f", part {self.shard}," if self.shard else ""
@@ -177,7 +241,7 @@ class Run:
 
     def _trials(self, specs: list[TrialSpec], setup: PolicySetup, scorer: Scorer, **more: Any) -> RunSummary:
         from carecontact.cli.progress import progress
-        from carecontact.trials.supervisor import run_trials
+        from carecontact.running.supervisor import run_trials
 
         with progress(self.out, scorer) as on_event:
             return run_trials(
@@ -202,15 +266,15 @@ class Run:
 
     def _scores(self, summary: RunSummary, scorer: Scorer) -> RunScores | None:
         """Score the recordings; None if no trial has ended."""
-        from carecontact.cli.rescoring import scores_of
+        from carecontact.cli.score import scores_of
 
         return scores_of(self.out, scored=scorer.take) if summary.ended else None
 
     def _finish(self, summary: RunSummary, scores: RunScores) -> int:
         """Write results.json and the report, print the table, and return the exit status."""
-        from carecontact.cli.failed_trials import failed_status, print_failed
-        from carecontact.cli.rescoring import publish
-        from carecontact.reports.text import clipped_text
+        from carecontact.cli.progress import failed_status, print_failed
+        from carecontact.cli.score import publish
+        from carecontact.report.words import clipped_text
 
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         publish(self.out, scores, compare=not summary.ran, page=True)
@@ -235,10 +299,10 @@ class Run:
         Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError for a name that no protocol
         has.
         """
-        from carecontact.cli.vision import with_vision
-        from carecontact.protocols import load_protocol
-        from carecontact.runs.freeze import check_frozen
-        from carecontact.runs.preflight import check_protocol, check_rows
+        from carecontact.cli.policy import with_vision
+        from carecontact.protocol.load import load_protocol
+        from carecontact.runs.identity import check_frozen
+        from carecontact.runs.plan import check_protocol, check_rows
 
         name = self.rules.protocol
         loaded = check_frozen(name, load_protocol(name, level=self.rules.level), unfrozen=self.unfrozen)
@@ -267,9 +331,106 @@ def restart(out: Path) -> bool:
     """Move an earlier run aside and print its new place. Return whether there was an earlier run.
 
     Raises ConfigError for a folder that is not a run."""
-    from carecontact.trials.restart import move_aside
+    from carecontact.running.supervisor import move_aside
 
     moved = move_aside(out)
     if moved is not None:
         print(f"--restart: the earlier run in {out} is now {moved}")
     return moved is not None
+
+
+# ``carecontact demo``: runs the seven tasks once and checks that the robot really touched, pushed and scrubbed.
+
+POLICY = "state-machine"
+SEED = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Run the seven tasks once with the state machine. The command fails unless the robot really touched, pushed and
+    scrubbed."""
+
+    out: Path = Path("runs/demo")
+    """Folder for the demo. The command replaces an earlier demo in it, and refuses a folder that holds anything
+    else."""
+    parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
+
+    after_interrupt: ClassVar[str] = "; finished trials stay in the folder until the next demo there replaces them"
+
+    def __call__(self) -> int:
+        from carecontact.protocol.load import load_protocol
+        from carecontact.running.supervisor import check_jobs
+        from carecontact.runs.lock import folder_lock
+
+        began = time.monotonic()
+        check_jobs(self.parallel.jobs)
+        run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=EngineGroup(jobs=self.parallel.jobs))
+        trial_ids = [
+            f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol, level=run.rules.level).tasks
+        ]
+        with folder_lock(self.out, make=True):
+            remove_earlier_demo(self.out, trial_ids=trial_ids)
+            run.execute(purpose="demo")
+        problems = check_demo(self.out, trial_ids=trial_ids)
+        for problem in problems:
+            print(f"demo: {problem}")
+        print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
+        return 1 if problems else 0
+
+
+def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
+    """Remove what an earlier demo of the same trials wrote into ``out``, and nothing else.
+
+    Raises ConfigError for a folder that holds anything but such a demo.
+    """
+    from carecontact.running.supervisor import remove_abandoned
+    from carecontact.runs.lock import LOCK
+    from carecontact.runs.manifest import MANIFEST, read_manifest
+
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: this is a file; name a folder")
+    if not out.exists() or all(path.name == LOCK for path in out.iterdir()):
+        return
+    manifest = read_manifest(out)
+    # Of whatever protocol: the default of an earlier release had another id.
+    mine = manifest is not None and (manifest.purpose, manifest.policy, manifest.trials) == (
+        "demo", POLICY, sorted(trial_ids),
+    )  # fmt: skip
+    foreign = sorted(path.name for path in out.glob("*.h5") if path.stem not in trial_ids)
+    if not mine or foreign:
+        what = f"{foreign[0]}, which no demo wrote" if mine else "something other than an earlier demo"
+        raise ConfigError(f"--out {out}: holds {what}; nothing was removed: use another --out, or empty the folder")
+    remove_abandoned(out)
+    written = [f"{trial_id}.{ending}" for trial_id in trial_ids for ending in ("h5", "log")]
+    # The manifest last: after an interruption it still says that the rest may go.
+    for name in (*written, "results.json", "report.html", MANIFEST):
+        (out / name).unlink(missing_ok=True)
+
+
+def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
+    """Return one line for each thing that keeps this folder from being a demonstration."""
+    from carecontact.recording import read_header
+    from carecontact.recording.reason import ended_text, reason_of
+    from carecontact.recording.schema import FAILED
+    from carecontact.runs import score_run
+
+    problems = []
+    for trial_id in trial_ids:
+        try:
+            header = read_header(out / f"{trial_id}.h5")
+        except RecordingError as error:
+            problems.append(str(error))
+            continue
+        if header.ended in FAILED:
+            told = reason_of(header.failure) if header.failure else "no reason recorded"
+            problems.append(f"{trial_id} {ended_text(header.ended)}: {told}")
+    return problems + missing_successes(score_run(out).scores)
+
+
+def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
+    """Return one line for each action of the demo's protocol in which no trial succeeded."""
+    from carecontact.protocol.load import load_protocol
+
+    done = {score.action for score in scores if score.c3_success}
+    wanted = dict.fromkeys(task.action for task in load_protocol().tasks)
+    return [f"no {action} task succeeded" for action in wanted if action not in done]

@@ -8,8 +8,8 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from carecontact.cli.console import drop_output
 from carecontact.cli.groups import FLAT, PolicyGroup
-from carecontact.cli.streams import drop_output
 from carecontact.errors import ConfigError
 
 
@@ -33,9 +33,9 @@ class Serve:
     def __call__(self) -> int:
         """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
-        from carecontact.hosting.serving import LOAD_DEADLINE_S, serve_trials
         from carecontact.policies.registry import policy_target
-        from carecontact.trials.workers import available_cores
+        from carecontact.running.workers import available_cores
+        from carecontact.serving.serve import LOAD_DEADLINE_S, serve_trials
 
         if not 0 <= self.port <= 65535:
             raise ConfigError(f"--port {self.port}: expected 0 to 65535")

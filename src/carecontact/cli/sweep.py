@@ -1,7 +1,8 @@
-"""``carecontact sweep``: every policy of a plan under every combination of its axes, in one table."""
+"""``carecontact sweep`` runs a plan's cells, and ``carecontact merge`` makes one run of parts that ran elsewhere."""
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,18 +14,60 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
-from carecontact.errors import ConfigError, counted
+from carecontact.errors import ConfigError, DependencyError, counted
 
 if TYPE_CHECKING:
-    from carecontact.cli.sweep_progress import SweepProgress
-    from carecontact.hosting.setup import PolicySetup
-    from carecontact.reports.sweep.table import SweepTable
-    from carecontact.runs.run_scores import RunScores
-    from carecontact.runs.sweep.cells import Cell
-    from carecontact.runs.sweep.plan import Plan, PlannedPolicy
+    from carecontact.cli.progress import SweepProgress
+    from carecontact.report.sweep_table import SweepTable
+    from carecontact.running.scorer import Scorer
+    from carecontact.running.supervisor import RunSummary, TrialEvent
+    from carecontact.running.sweep import SweptPolicy
+    from carecontact.runs.merge import Merged
+    from carecontact.runs.pooling import RunScores
+    from carecontact.runs.sweep import Cell, Plan, PlannedPolicy
     from carecontact.scoring.result import TrialScore
-    from carecontact.trials.supervisor import RunSummary, TrialEvent
-    from carecontact.trials.sweep import SweptPolicy
+    from carecontact.serving.conversation import PolicySetup
+
+
+# The scores of a cell of a sweep.
+
+
+def stored(folder: Path) -> RunScores | None:
+    """Return the scores in a cell's results.json, or None if there is none that belongs to the cell's recordings."""
+    from carecontact.runs.scoring import read_scores
+
+    try:
+        return read_scores(folder)
+    except (ConfigError, DependencyError):
+        return None
+
+
+def computed(folder: Path) -> RunScores | None:
+    """Return the scores that ``stored`` finds, or else those of the recordings in the folder. Nothing is written."""
+    from carecontact.runs import score_run
+    from carecontact.runs.scoring import beside_plan
+
+    if (found := stored(folder)) is not None or not any(folder.glob("*.h5")):
+        return found
+    return beside_plan(folder, score_run(folder))
+
+
+def store(folder: Path, *, anew: bool, scorer: Scorer | None = None) -> None:
+    """Write the results of a cell. Unless ``anew`` is true, existing results that belong to its recordings stay.
+
+    Args:
+        scorer: has scored the trials that ran; it scores the others too.
+    """
+    from carecontact.runs import score_run, write_scores
+    from carecontact.runs.scoring import beside_plan
+
+    if anew or stored(folder) is None:
+        if scorer is None:
+            scores = score_run(folder)
+        else:
+            scorer.fill(sorted(folder.glob("*.h5")))
+            scores = score_run(folder, scored=scorer.take)
+        write_scores(folder, beside_plan(folder, scores))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +110,10 @@ class Sweep:
         """Return 1 if the harness failed in any trial or one could not be scored, else 3 if a policy crashed in one.
 
         Raises ConfigError for a wrong plan and, at the end, if the server of a policy stayed out of reach."""
-        from carecontact.cli.cell_scores import computed, stored
-        from carecontact.cli.sweep_progress import SweepProgress
-        from carecontact.runs.shard import Shard
-        from carecontact.runs.sweep.cells import CELLS
-        from carecontact.runs.sweep.plan import read_plan
-        from carecontact.trials.supervisor import check_jobs
+        from carecontact.cli.progress import SweepProgress
+        from carecontact.running.supervisor import check_jobs
+        from carecontact.runs.plan import Shard
+        from carecontact.runs.sweep import CELLS, read_plan
 
         check_jobs(self.parallel.jobs)
         shard = None if self.shard is None else Shard.parse(self.shard)
@@ -108,8 +149,8 @@ class Sweep:
     def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
         """Return the planned cells. Mistakes in the plan itself are found here, before the first trial."""
         from carecontact.cli.policy import policy_setup
-        from carecontact.protocols.tissue_sets import check_accepted
-        from carecontact.runs.sweep.cells import cells_of, places_of, with_noise
+        from carecontact.protocol.overrides import check_accepted
+        from carecontact.runs.sweep import cells_of, places_of, with_noise
 
         salt = self.salted.salt
         places = places_of(plan, named=str(self.plan))
@@ -131,8 +172,8 @@ class Sweep:
     def _checked(self, plan: Plan, setups: Sequence[PolicySetup], cells: Sequence[Cell]) -> list[SweptPolicy]:
         """Start every policy once that a trial of these cells still needs. The server of another policy may be gone."""
         from carecontact.cli.policy import check_policy
-        from carecontact.trials.engines import check_engine
-        from carecontact.trials.sweep import SweptPolicy
+        from carecontact.running.supervisor import check_engine
+        from carecontact.running.sweep import SweptPolicy
 
         if told := check_engine(self.parallel.engine, *setups, gpus=self.parallel.gpus):
             print(f"warning: {told}")
@@ -148,20 +189,20 @@ class Sweep:
         return swept
 
     def _folder(self, cell: Cell) -> Path:
-        from carecontact.runs.sweep.cells import CELLS
+        from carecontact.runs.sweep import CELLS
 
         return self.out / CELLS / cell.name
 
     def _say_cell(self, cell: Cell) -> None:
-        from carecontact.cli.answers.sweep import SweepCellAnswer
-        from carecontact.cli.json_lines import say
+        from carecontact.cli.console import print_answer
+        from carecontact.cli.result_answers import SweepCellAnswer
 
         folder, planned = self._folder(cell), len(cell.specs)
         recorded = planned - self._lacking(cell)
         print(f"{folder}: {counted(planned, 'trial')}" + (f", {recorded} recorded" if recorded else ""))
         if self.output.json:
             found = {"values": cell.place.values, "folder": str(folder), "trials": planned, "recorded": recorded}
-            say(SweepCellAnswer.model_validate({"policy": cell.label, **found}))
+            print_answer(SweepCellAnswer.model_validate({"policy": cell.label, **found}))
 
     def _lacking(self, cell: Cell) -> int:
         """Return how many trials of a cell have no recording."""
@@ -170,10 +211,9 @@ class Sweep:
 
     def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> list[str]:
         """Return why policies could not be reached, once for each reason."""
-        from carecontact.cli.cell_scores import store
-        from carecontact.trials.scorer import Scorer
-        from carecontact.trials.sweep import run_cells
-        from carecontact.trials.workers import available_cores
+        from carecontact.running.scorer import Scorer
+        from carecontact.running.sweep import run_cells
+        from carecontact.running.workers import available_cores
 
         cores = min(available_cores(), self.parallel.jobs or available_cores())
         trials = sum(len(cell.specs) for cell in cells)
@@ -211,9 +251,9 @@ class Sweep:
             read: the scores of a cell's folder.
         """
         from carecontact.policies.registry import role_of
-        from carecontact.reports.sweep.page import write_sweep
-        from carecontact.reports.sweep.table import CellScores, sweep_table
-        from carecontact.reports.sweep.texts import sentences
+        from carecontact.report.sweep_page import write_sweep
+        from carecontact.report.sweep_table import CellScores, sweep_table
+        from carecontact.report.sweep_texts import sentences
 
         if not self.out.is_dir():
             raise ConfigError(f"{self.out}: no such folder; name the --out of a sweep")
@@ -245,10 +285,10 @@ class Sweep:
 
 
 def _say(table: SweepTable) -> None:
-    from carecontact.cli.answers.sweep import SweepAnswer
-    from carecontact.cli.json_lines import say
+    from carecontact.cli.console import print_answer
+    from carecontact.cli.result_answers import SweepAnswer
 
-    say(
+    print_answer(
         SweepAnswer(
             title=table.title,
             axes=table.axes,
@@ -284,3 +324,62 @@ def _of_plan(cell: Cell, run: RunScores | None) -> list[TrialScore]:
     """Return the scores of the trials in the plan. The folder may hold more trials, of an earlier and longer plan."""
     wanted = {spec.trial_id for spec in cell.specs}
     return [score for score in run.scores if score.trial_id in wanted] if run is not None else []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Merge:
+    """Make one run of the parts that `carecontact run --shard` made on several machines, score it and write its report.
+    The result is the same as that of one run. Parts of a sweep become one sweep."""
+
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+    """Folder for the whole run or sweep: a new one, or one that more parts are added to."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+    """Folders of the parts. They stay as they are."""
+
+    after_interrupt: ClassVar[str] = "; give the same command again to continue"
+
+    def __call__(self) -> int:
+        """Return 1 if a planned trial has no recording, or a recording cannot be scored. Raises as ``merge_runs``."""
+        from carecontact.cli.score import rescore
+        from carecontact.errors import ConfigError
+        from carecontact.runs.lock import folder_lock
+        from carecontact.runs.merge import is_sweep, merge_runs
+
+        if not self.runs:
+            raise ConfigError("merge: expected a folder to write and the parts, for example merge runs/all runs/part-*")
+        if any(map(is_sweep, self.runs)):
+            return self._merge_sweeps()
+        merged = merge_runs(self.out, self.runs)
+        self._say("", [merged])
+        with folder_lock(self.out):
+            scores = rescore(self.out, compare=False, page=True)
+        return 1 if merged.missing or scores.skipped else 0
+
+    def _merge_sweeps(self) -> int:
+        from carecontact.report.words import listed
+        from carecontact.runs.merge import merge_sweeps
+        from carecontact.runs.sweep import CELLS
+
+        merged = merge_sweeps(self.out, self.runs)
+        self._say(f", {counted(len(merged), 'cell')}", list(merged.values()))
+        status = 0
+        for name, cell in merged.items():
+            folder = self.out / CELLS / name
+            if any(folder.glob("*.h5")):
+                store(folder, anew=False)
+            run = stored(folder)
+            lines = [f"skipped {file}: {why}" for file, why in run.skipped.items()] if run else []
+            if cell.missing:
+                lacking = counted(len(cell.missing), "planned trial has", "planned trials have")
+                lines.append(f"{lacking} no recording: {listed(cell.missing)}")
+            for line in lines:
+                print(f"{folder}: {line}")
+                status = 1
+        print(f"for the table: carecontact sweep PLAN.toml --out {shlex.quote(str(self.out))} --table-only")
+        return status
+
+    def _say(self, cells: str, merged: list[Merged]) -> None:
+        copied, already = (sum(getattr(each, name) for each in merged) for name in ("copied", "already"))
+        told = f", {already} were there already" if already else ""
+        parts, recordings = counted(len(self.runs), "part"), counted(copied, "recording")
+        print(f"{parts}{cells}: {recordings} copied into {self.out}{told}", flush=True)

@@ -1,13 +1,16 @@
-"""``carecontact validate``: is the simulated person physically valid?"""
+"""``carecontact validate`` and ``probe``: whether the simulated person is physically valid, and whether scores follow
+what they measure."""
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from carecontact.cli.groups import FLAT, ChangedProtocolGroup, JsonGroup, PhysicsGroup, Switch, check_body
+from carecontact.cli.groups import FLAT, ChangedProtocolGroup, JsonGroup, PhysicsGroup, RulesGroup, Switch, check_body
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -15,9 +18,69 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from carecontact.contract.protocol import Protocol
-    from carecontact.validation.result import CheckResult, Measure
-    from carecontact.validation.run import Validation
+    from carecontact.lab.fem.compare import Comparison
+    from carecontact.lab.validation.result import CheckResult, Measure
+    from carecontact.lab.validation.run import Validation
+    from carecontact.protocol.protocol import Protocol
+
+
+# The table of ``carecontact validate --fem``.
+
+
+def show_beside(rules: Protocol, body: str, folder: Path) -> None:
+    """Print the comparison region by region and write ``fem.json`` and ``fem.png``.
+
+    Raises DependencyError where scikit-fem is missing.
+    """
+    from rich.console import Console
+
+    from carecontact.lab.fem.compare import as_json, compare, draw
+    from carecontact.lab.validation.subject import Subject
+    from carecontact.plotting import draw_figure
+    from carecontact.protocol.overrides import overridden
+
+    console = Console(highlight=False, width=None if Console().is_terminal else 140)
+    console.print(f"{body}, {rules.title}, tissue {rules.person.tissue_set}, beside finite elements", style="bold")
+
+    def show(done: Comparison) -> None:
+        console.print(_table(done))
+        for name, value in done.extras.items():
+            console.print(f"  {name}: {value:.2f}")
+
+    found = compare(Subject(overridden(rules, {"person.body": body})), on_region=show)
+    folder.mkdir(parents=True, exist_ok=True)
+    record, picture = folder / "fem.json", folder / "fem.png"
+    record.write_text(json.dumps(as_json(found), indent=2) + "\n")
+    draw_figure(partial(draw, found), picture)
+    print(f"{record}, {picture}")
+
+
+def _table(done: Comparison) -> Table:
+    from rich.table import Table
+
+    from carecontact.lab.fem.compare import CLOSE_PERCENT
+
+    ground = done.case.ground
+    radius = ground.limb_radius_m
+    shape = "flat" if radius is None else f"round, radius {1000 * radius:.0f} mm"
+    table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left")
+    table.title = f"{done.case.region}: {1000 * ground.thickness_m:.0f} mm of tissue over bone, {shape}"
+    for header in ("measured", "skins", "middle skin", "no skin", "simulator", f"within {CLOSE_PERCENT:g} %"):
+        table.add_column(header, justify="left" if header == "measured" else "right")
+    for row in done.rows():
+        standard = row.standard
+        verdict = "[green]yes[/green]" if row.agrees else f"[red]{row.outside_percent:.0f} % outside[/red]"
+        table.add_row(
+            f"{standard.name}{f' ({standard.unit})' if standard.unit else ''}",
+            f"{min(standard.skins):.2f} to {max(standard.skins):.2f}", f"{standard.skins[0]:.2f}",
+            f"{standard.plain:.2f}", f"{row.simulated:.2f}", verdict,
+        )  # fmt: skip
+    moduli = ", ".join(f"{answer.modulus_pa / 1000:.1f}" for answer in done.skins)
+    table.caption = f"tissue under the skins: {moduli} kPa; without skin {done.plain.modulus_pa / 1000:.1f} kPa"
+    return table
+
+
+# ``carecontact validate``: is the simulated person physically valid?
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +108,9 @@ class Validate:
 
     def __call__(self) -> int:
         """Return 1 if any check fails on any body."""
-        from carecontact.protocols import load_protocol
-        from carecontact.validation.run import CHECKS
-        from carecontact.world.human.library import load_body
+        from carecontact.human.library import load_body
+        from carecontact.lab.validation.run import CHECKS
+        from carecontact.protocol.load import load_protocol
 
         loaded = load_protocol(self.rules.protocol, level=self.rules.level)
         rules = self.rules.changed(loaded, **self.physics.changes(loaded))
@@ -70,8 +133,8 @@ class Validate:
         return 0 if passed else 1
 
     def _say(self, found: Mapping[str, Validation], *, passed: bool) -> None:
-        from carecontact.cli.answers.validate import BodyAnswer, ValidateAnswer
-        from carecontact.cli.json_lines import say
+        from carecontact.cli.answers import BodyAnswer, ValidateAnswer
+        from carecontact.cli.console import print_answer
 
         bodies = [
             {
@@ -82,7 +145,7 @@ class Validate:
             }
             for body, validation in found.items()
         ]
-        say(ValidateAnswer(passed=passed, bodies=[BodyAnswer.model_validate(body) for body in bodies]))
+        print_answer(ValidateAnswer(passed=passed, bodies=[BodyAnswer.model_validate(body) for body in bodies]))
 
     def _folder(self, body: str, wanted: tuple[str, ...]) -> Path:
         # A body may be a file: its name as a folder keeps letters and digits only.
@@ -91,7 +154,6 @@ class Validate:
     def _beside_finite_elements(self, rules: Protocol, wanted: tuple[str, ...]) -> int:
         if self.quick or self.checks != "all" or self.output.json:
             raise ConfigError("--fem runs no check; leave out --quick, --checks and --json")
-        from carecontact.cli.finite_elements import show_beside
 
         for body in wanted:
             show_beside(rules, body, self._folder(body, wanted))
@@ -100,7 +162,7 @@ class Validate:
     def _validate(self, rules: Protocol, body: str, names: tuple[str, ...], folder: Path) -> Validation:
         from rich.console import Console
 
-        from carecontact.validation.run import CHECKS, validate, write
+        from carecontact.lab.validation.run import CHECKS, validate, write
 
         console = Console(highlight=False, width=None if Console().is_terminal else 140)
         title = f"{rules.title}, tissue {rules.person.tissue_set}"
@@ -114,7 +176,7 @@ class Validate:
         missed = [(result, measure) for result in validation.results for measure in result.missed]
         if self.verbose or missed:
             rows = [(r, m) for r in validation.results for m in r.measures] if self.verbose else missed
-            console.print(_table(rows))
+            console.print(_checks_table(rows))
         failed = [result for result in validation.results if not result.passed]
         print(f"{_verdict(len(failed), ran=len(names), of=len(CHECKS))}; {folder / 'validation.json'}")
         return validation
@@ -135,7 +197,7 @@ def _line(result: CheckResult) -> str:
     return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
 
 
-def _table(rows: list[tuple[CheckResult, Measure]]) -> Table:
+def _checks_table(rows: list[tuple[CheckResult, Measure]]) -> Table:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -148,3 +210,65 @@ def _table(rows: list[tuple[CheckResult, Measure]]) -> Table:
             verdict = f"{'met' if measure.met else 'not met'} (does not decide)"
         table.add_row(result.check, measure.name, f"{measure.value:.3g} {measure.unit}", limit, verdict)
     return table
+
+
+# ``carecontact probe``: do scores follow the quantities that they measure?
+
+SCHEMA = "carecontact-probe-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probe:
+    """Check that C1, C2, C4 and C5 follow the quantities that they measure: for each score, simulate scripted
+    trials in which one quantity changes step by step (a sweep, for example of the commanded depth), and plot them."""
+
+    metrics: str = "all"
+    """Ids separated by commas, such as C1,C5 (short for C1@1,C5@1), or all (C1@1, C2@1, C4@1, C5@1)."""
+    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    out: Path = Path("runs/probe")
+    """Folder for probe.json and probe.png."""
+
+    after_interrupt: ClassVar[str] = "; nothing was written"
+
+    def __call__(self) -> int:
+        """Return 1 if a score does not follow its sweep."""
+        from carecontact.lab.validation.probes import PROBES, run
+        from carecontact.lab.validation.subject import Subject
+
+        short = {name.partition("@")[0].casefold(): name for name in PROBES}
+        given = [part.strip() for part in self.metrics.split(",")]
+        names = tuple(PROBES) if self.metrics == "all" else tuple(short.get(name.casefold(), name) for name in given)
+        if not set(names) <= set(PROBES) or len(set(names)) != len(names):
+            raise ConfigError(
+                f"--metrics {self.metrics!r}: expected ids separated by commas, each once; valid: {', '.join(PROBES)}"
+            )
+        if self.out.exists() and not self.out.is_dir():
+            raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        rules = self.rules.load()
+        subject = Subject(rules)
+        print(f"{rules.title}, {rules.person.body}", flush=True)
+        results = []
+        for name in names:
+            result = run(subject, PROBES[name])
+            results.append(result)
+            levels, scores = result.curves["scores"]
+            print(f"{'pass' if result.passed else 'FAIL'}  {name}  {result.title}")
+            for level, score in zip(levels, scores, strict=True):
+                print(f"        {PROBES[name].level} {level:<6g} {score:.4g}", flush=True)
+        passed = all(result.passed for result in results)
+        _write(self.out, rules, results, passed=passed)
+        print(f"{'passed' if passed else 'FAILED'}: {self.out / 'probe.json'}, {self.out / 'probe.png'}")
+        return 0 if passed else 1
+
+
+def _write(out: Path, rules: Protocol, results: list[CheckResult], *, passed: bool) -> None:
+    from carecontact.lab.validation.probes import draw
+    from carecontact.plotting import draw_figure
+
+    out.mkdir(parents=True, exist_ok=True)
+    content = {
+        "schema": SCHEMA, "passed": passed, "protocol": {"id": rules.id, "sha256": rules.sha256},
+        "body": rules.person.body, "probes": [result.as_json() for result in results],
+    }  # fmt: skip
+    (out / "probe.json").write_text(json.dumps(content, indent=2) + "\n")
+    draw_figure(partial(draw, results), out / "probe.png")

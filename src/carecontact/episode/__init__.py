@@ -1,1 +1,1 @@
-"""One trial as a simulator sees it: what the seed decides, what the policy is shown, what is recorded."""
+"""A trial without a policy: takes actions, gives observations and a recording."""

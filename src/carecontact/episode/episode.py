@@ -22,32 +22,42 @@ from typing import Self, cast
 
 import numpy as np
 
-from carecontact.contract.action import ACTION_SPACES, Action, ActionSpace
-from carecontact.contract.control import CONTROLS
-from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.session import Session
-from carecontact.contract.trial import TrialSpec
-from carecontact.episode.camera_poses import CameraPoses
-from carecontact.episode.cells import CellLog
-from carecontact.episode.drawn import like
 from carecontact.episode.drivers import Driver, driver_of
-from carecontact.episode.ended import Ended, ForceCut, cut_by_solver, cut_by_speed, cut_by_tool
-from carecontact.episode.header import header_of
-from carecontact.episode.life import LifeLog
-from carecontact.episode.log import TrialLog
-from carecontact.episode.peak import Peak
-from carecontact.episode.perception import PerceptionLog
-from carecontact.episode.prepare import World, constants_of, settled_world, under_control
-from carecontact.episode.randomization import calibration, sensor_noise
-from carecontact.episode.vision import person_segmenter
+from carecontact.episode.log import (
+    CellLog,
+    Ended,
+    ForceCut,
+    LifeLog,
+    TrialLog,
+    cut_by_solver,
+    cut_by_speed,
+    cut_by_tool,
+    header_of,
+)
+from carecontact.episode.perception import Peak, PerceptionLog
+from carecontact.episode.randomization import (
+    World,
+    calibration,
+    constants_of,
+    sensor_noise,
+    settled_world,
+    under_control,
+    with_draws_of,
+)
 from carecontact.errors import ActionError, ConfigError, PolicyError
-from carecontact.observation.builder import ObservationBuilder, RawReadings
-from carecontact.observation.keypoints import MediaPipePose
+from carecontact.interface.action import ACTION_SPACES, Action, ActionSpace
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.regions import REGIONS
+from carecontact.interface.robot import CONTROLS, Session
+from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording.provenance import ARITHMETIC, RENDERER, arithmetic
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
-from carecontact.regions import REGIONS
-from carecontact.sim.cartesian_control import CartesianControl
+from carecontact.sensing.builder import ObservationBuilder, RawReadings
+from carecontact.sensing.calibration import CameraPoses
+from carecontact.sensing.grounded_sam import person_segmenter
+from carecontact.sensing.keypoints import MediaPipePose
+from carecontact.sim.controllers import CartesianControl
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import lengths
@@ -102,7 +112,7 @@ class Episode:
         self.task = spec.protocol.task(spec.task_id)
         self.simulation, self._settled, self._model_sha256 = (prepare or _world)(spec)
         # From here on, the protocol is the drawn one: it says where robot and camera are in this trial.
-        self.protocol = like(spec.protocol, self.simulation.protocol)
+        self.protocol = with_draws_of(spec.protocol, self.simulation.protocol)
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
@@ -381,3 +391,23 @@ class Episode:
 
 def _world(spec: TrialSpec) -> World:
     return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
+
+
+# What a policy sees at t = 0, without running a trial.
+
+
+def first_look(
+    protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard, weights: Path | None = None, salt: str = ""
+) -> Observation:
+    """Return the first observation of a trial, with the modalities and cameras of the card.
+
+    Args:
+        weights: folder with the weights of the protocol's segmenter.
+        salt: the secret of a salted run.
+
+    Raises:
+        SceneError, SettleError, DependencyError: as a trial does.
+    """
+    spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=card.name, salt=salt)
+    with Episode(spec, card=card, weights=weights) as episode:
+        return episode.reset()

@@ -1,19 +1,230 @@
-"""Collects a trial's streams in memory and turns them into a recording's arrays; knows no simulator and no policy."""
+"""What an episode records: forces, joints, poses, cells of the skin and the person's own movements at every step, how
+it ended, and the header."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass, fields
+from typing import Any
+from typing import Protocol as TypingProtocol
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.observation import Observation
+from carecontact.episode.randomization import drawn_facts
 from carecontact.errors import PolicyError
-from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, empty_arrays
+from carecontact.interface.observation import Observation
+from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.recording.provenance import DECLARED, trial_versions
+from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, SEGMENTS, EndReason, Failure, Header, empty_arrays
+from carecontact.sim.simulation import Settled, Simulation
+from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
+from carecontact.tissue.plugin import Cells
+
+# How an episode ends, and the forces at which the benchmark stops it.
+
+STOPPED_OVER = 1.6
+"""The robot stops itself above this multiple of the speed at which its target moves: 0.4 m/s where that is 0.25 m/s
+(chosen). The impedance holds the tool to 1.1 times that speed, and a torque about the tool or what it touches adds to
+that. With the declared 10 kg, 0.4 m/s are 0.8 J; a ball goes through the skin of a heavy abdomen from 0.91 J on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    reason: EndReason
+    failure: Failure | None = None
+    """What went wrong; None where nothing did."""
+
+
+class ForceCut:
+    """Ends a trial as soon as any segment bears more than the protocol's multiple of its pain limit."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._limit_n = np.array([protocol.phases.truncation_over_pain * protocol.f_pain(s) for s in SEGMENTS])
+
+    def cut(self, force_n: npt.NDArray[np.float64]) -> Ended | None:
+        """Return how the trial ends, or None while every force is allowed.
+
+        ``force_n``: (n, S) magnitudes [N] of the forces on S segments in n steps.
+        """
+        over = force_n > self._limit_n
+        if not over.any():
+            return None
+        step, segment = np.argwhere(over)[0]
+        message = f"{force_n[step, segment]:.0f} N on {SEGMENTS[segment]}, cut at {self._limit_n[segment]:.0f} N"
+        return Ended(reason="safety_truncation", failure=Failure(kind="force", message=message))
+
+
+def cut_by_solver(warnings: list[str]) -> Ended | None:
+    """Return how a trial with warnings of the solver ends; None without warnings.
+
+    The sensor values of a period that diverged are no measurement.
+    """
+    if not warnings:
+        return None
+    failure = Failure(kind="solver", message=f"MuJoCo warning {', '.join(warnings)}")
+    return Ended(reason="safety_truncation", failure=failure)
+
+
+def cut_by_tool(speed_m_s: npt.NDArray[np.float64], protocol: Protocol) -> Ended | None:
+    """Return how a trial ends in which a real robot would have stopped itself; None while the tool was slow enough.
+
+    No period is recorded in which the tool was faster: a real robot stops at that moment (libfranka calls this
+    ``cartesian_velocity_violation``), and what the tool does after it would be no measurement.
+
+    Args:
+        speed_m_s: (n,) of the tool in n steps.
+    """
+    limit, fastest = STOPPED_OVER * protocol.physics.max_tcp_speed_m_s, float(speed_m_s.max())
+    if fastest <= limit:
+        return None
+    message = f"the tool moved at {fastest:.2f} m/s, and the robot stops itself above {limit:.2f} m/s"
+    return Ended(reason="safety_truncation", failure=Failure(kind="tool_speed", message=message))
+
+
+def cut_by_speed(fastest: tuple[int, float] | None) -> Ended | None:
+    """Return how a trial ends in which a real robot would have stopped itself; None while no joint was too fast.
+
+    Args:
+        fastest: number of the fastest joint and its speed [rad/s]; None if no joint exceeded its limit.
+    """
+    if fastest is None:
+        return None
+    message = f"joint {fastest[0]} moved at {fastest[1]:.2f} rad/s, faster than the robot's controller allows"
+    return Ended(reason="safety_truncation", failure=Failure(kind="joint_speed", message=message))
+
+
+# The header of a trial's recording: what was run, on what, and how it ended.
+
+
+def header_of(
+    spec: TrialSpec,
+    simulation: Simulation,
+    settled: Settled,
+    ended: Ended,
+    *,
+    model_sha256: str,
+    card: dict[str, Any] | None,
+    control: str | None,
+    privileged: bool = False,
+) -> Header:
+    """Return the header of a recording.
+
+    ``card``, ``control``: None if the policy never showed its card. ``privileged``: whether the policy was given the
+    simulation.
+    """
+    warnings = simulation.solver_warnings()
+    if simulation.normal_sum_truncated:
+        warnings.append("normal-force sensor full: normal sums are too small")
+    return Header(
+        spec=spec,
+        ended=ended.reason,
+        failure=ended.failure,
+        card=card,
+        control=control,
+        privileged=privileged,
+        embodiment=simulation.robot.id,
+        comfort_arm_deg=settled.comfort_arm_deg,
+        segments=list(SEGMENTS),
+        regions=list(spec.protocol.regions),
+        human_joints=simulation.joint_names,
+        pose_base_in_world=simulation.pose_base_in_world.tolist(),
+        identity=DECLARED,
+        versions=trial_versions(spec.protocol),
+        sha256={
+            "model": model_sha256,
+            "body": simulation.scene.body.sha256,
+            "robot": simulation.robot.source.sha256,
+            "kernel": kernel_sha256(),
+        },
+        solver_warnings=warnings,
+        drawn=drawn_facts(simulation.scene.protocol, simulation.scene.place)
+        if spec.protocol.variation.draws_models
+        else {},
+    )
+
+
+# What the declared cells of a trial's region felt in each control period, for its recording.
 
 F64 = npt.NDArray[np.float64]
+Rows = dict[str, F64]
+SUMS = {f"scorer/cell_{field.name}": field.name for field in fields(Cells)}
+"""Array of a recording -> field of ``Cells``."""
+
+
+class CellLog:
+    """Turns the running sums of the compiled tissue into the part of each control period; empty for a rigid region."""
+
+    def __init__(self, simulation: Simulation, region: str) -> None:
+        """Begin the first period now."""
+        self._simulation, self._region = simulation, region
+        self._before = self._sums()
+
+    def constants(self) -> dict[str, npt.NDArray[np.float32]]:
+        """Return the centres (C, 3) [m] in the region's frame and the areas (C,) [m²] of the cells, by their path."""
+        scene = self._simulation.scene
+        if self._region not in scene.regions:
+            return {}
+        cells, frame = scene.regions[self._region].cells, scene.frames[self._region]
+        return {
+            "scorer/cell_in_region": ((cells.centres - frame.origin) @ frame.axes).astype("<f4"),
+            "scorer/cell_area_m2": cells.areas.astype("<f4"),
+        }
+
+    def period(self) -> Rows:
+        """Return what each cell (C,) felt since the last call, by the path of the array."""
+        now = self._sums()
+        added = {path: now[path] - self._before[path] for path in now}
+        self._before = now
+        return added
+
+    def _sums(self) -> Rows:
+        tissue = self._simulation.tissue.get(self._region)
+        if tissue is None:
+            return {}
+        cells = tissue.cells(self._simulation.data)
+        return {path: getattr(cells, name) for path, name in SUMS.items()}
+
+
+# What the person of a trial did on their own, for the recording and never for the policy.
+
+
+class LifeLog:
+    """Collects the person's own movements. Every method returns arrays by their path; none if the person never moves on
+    their own.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._life, self._data = simulation.life, simulation.data
+
+    def constants(self) -> dict[str, npt.NDArray[Any]]:
+        """Return when the arm moves to another place, and by how much, as it was drawn before the trial."""
+        if self._life is None:
+            return {}
+        moves = self._life.moves()
+        return {
+            "scorer/repositioning_s": moves[:, 0].astype("<f8"),
+            "scorer/repositioning_rad": moves[:, 1].astype("<f8"),
+        }
+
+    def period(self) -> dict[str, F64]:
+        """Return the values at the end of a control period."""
+        if self._life is None:
+            return {}
+        life, data = self._life, self._data
+        return {
+            "scorer/breath_m": life.breath_m(data), "scorer/muscle_torque_nm": life.torque_nm(data),
+            "scorer/muscle_work_j": life.work_j(data),
+        }  # fmt: skip
+
+    def ended(self) -> dict[str, npt.NDArray[Any]]:
+        """Return when the person withdrew the arm."""
+        return {} if self._life is None else {"scorer/withdrawal_s": self._life.pulls_s(self._data).astype("<f8")}
+
+
+# Collects a trial's streams in memory and turns them into a recording's arrays; knows no simulator and no policy.
+
 Arrays = dict[str, npt.NDArray[Any]]
 
 MAX_LOSSLESS_FRAMES = 64
@@ -41,7 +252,7 @@ BESIDE = {"scorer/beside_force_in_world": "beside_force", "scorer/beside_normal_
 """Array that only some recordings have -> field of ``Samples``, None where only the tip touched."""
 
 
-class Samples(Protocol):
+class Samples(TypingProtocol):
     """Sensor values with one entry for each physics step; STREAMS names the fields."""
 
     @property

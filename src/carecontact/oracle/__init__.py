@@ -1,1 +1,1 @@
-"""The privileged baseline: it is given the trial's simulation, so its rate is a ceiling and never ranks as a method."""
+"""The privileged baseline: it is given the trial's simulation, and its rate is the ceiling."""

@@ -1,32 +1,210 @@
-"""The oracle: the state machine's primitives on what is really there, looked up again in every control period."""
+"""The oracle: how it touches, scrubs and pushes, given the true force and skin of a simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.action import Action
-from carecontact.contract.action.spaces.cartesian_pose import clip_action
-from carecontact.contract.observation import Observation
-from carecontact.contract.policy import PolicyCard
-from carecontact.contract.protocol import Task
-from carecontact.contract.session import ActionBounds
-from carecontact.errors import ContractError
-from carecontact.oracle.hand import hold
-from carecontact.oracle.press import Press, stages
-from carecontact.oracle.push import Push
-from carecontact.oracle.truth import Truth
-from carecontact.policies.motion import CONTROL_HZ, Leg, travel
-from carecontact.policies.state_machine import fixed_values as fixed
-from carecontact.policies.state_machine.candidates import PlanningFailure, reachable
-from carecontact.policies.state_machine.primitives import push, scrub, touch, travel_height
-from carecontact.sight import RegionGeometry
+from carecontact.episode.episode import Episode
+from carecontact.errors import ConfigError, ContractError
+from carecontact.interface.action import Action
+from carecontact.interface.action_spaces import clip_action
+from carecontact.interface.body_view import RegionGeometry
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard, PolicyRef
+from carecontact.interface.robot import ActionBounds
+from carecontact.oracle.truth import Follower, Truth, hold
+from carecontact.policies import state_machine as fixed
+from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, UP, Leg, sample, travel
+from carecontact.policies.registry import is_privileged
+from carecontact.policies.state_machine import PlanningFailure, push, reachable, scrub, touch, travel_height
+from carecontact.protocol.gates import Task
 from carecontact.sim.simulation import Simulation
 
+# How the oracle touches and scrubs: on the state machine's path, which moves with the skin, at a chosen force.
+
 F64 = npt.NDArray[np.float64]
+
+FORCE_N = 3.0
+"""A light, clear press: the middle, as a ratio, of the 1 to 8 N in which people wash (design of the exam's gates)."""
+LEAST_N = 1.5
+"""Below this force [N], the tool stops along the skin until it presses again."""
+MOST_PRESS_N = 5.0
+"""Above this force [N], a touch does not count as steady."""
+STEADY_S = 1.3
+"""A touch lasts until it was steady for this time [s] without interruption; the gate asks for 1 s."""
+PATIENCE_S = 5.0
+"""Longest time [s] that it waits for a steady touch; then it goes on without one."""
+GAIN_M_NS = 0.006
+"""Rate of change of the depth [m/s] for each newton that the force is off. At 400 N/m on soft tissue, 1 N is about
+3.5 mm, so that the loop has a time constant of 0.6 s, twice the lag of the impedance behind its target."""
+DEEPEST_M = 0.06
+"""Largest depth [m] of the target. At 400 N/m it limits the force to 24 N, whatever force was measured."""
+MOST_LEAD_M = 0.008
+"""Largest lead [m] of the target over a tool that rubs: at 400 N/m, what the friction of a 3 N press on dry skin
+takes."""
+SMOOTHING = 0.3
+"""Share of the newest value in the exponential running mean of that lead."""
+FIRST_IN_CONTACT = 3
+"""Index of the leg that brings the tool down; the two legs before the last one take it up and away."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One control period of a plan."""
+
+    pose: F64
+    """(7,) target pose in the robot's base, for where the person lay at the time of planning."""
+    presses: bool
+
+
+def stages(legs: Sequence[Leg], start_pose: F64) -> list[Stage]:
+    """Return all control periods of a touch or a scrub. The tool presses between coming down and going up."""
+    out: list[Stage] = []
+    at = start_pose
+    for number, leg in enumerate(legs):
+        poses = list(sample([leg], at, control_hz=CONTROL_HZ))
+        held = len(poses) - round(leg.hold_s * CONTROL_HZ)
+        along = FIRST_IN_CONTACT < number < len(legs) - 2
+        out += [
+            Stage(pose=pose, presses=along or (number == FIRST_IN_CONTACT and k >= held))
+            for k, pose in enumerate(poses)
+        ]
+        at = np.concatenate([leg.points[-1], leg.quat_wxyz])
+    return out
+
+
+class Press:
+    """Gives one target for each control period; ``ended`` is true after the last one."""
+
+    def __init__(self, truth: Truth, plan: Sequence[Stage], *, rests: bool) -> None:
+        """``rests``: whether the tool stays where it came down until the force has been steady."""
+        self._truth, self._plan, self._follower = truth, plan, Follower(truth)
+        self._rests_until = max(k for k, stage in enumerate(plan) if stage.presses) if rests else -1
+        self._at, self._depth_m, self._waited = 0, 0.0, 0
+        self._steady = self._longest = 0
+        self._lead_m = np.zeros(3)
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether all waits for the skin together stayed below PATIENCE_S."""
+        return self._waited < PATIENCE_S * CONTROL_HZ
+
+    @property
+    def ended(self) -> bool:
+        return self._at >= len(self._plan)
+
+    def act(self) -> Action:
+        """Return the target for the next control period."""
+        stage, force = self._plan[self._at], self._truth.force_n()
+        place = self._follower.follow(stage.pose[:3])
+        waits = False
+        if stage.presses:
+            change = GAIN_M_NS * (FORCE_N - force) / CONTROL_HZ
+            self._depth_m = float(np.clip(self._depth_m + change, 0.0, DEEPEST_M))
+            place = place - self._depth_m * UP + self._ahead()
+            self._steady = self._steady + 1 if LEAST_N <= force <= MOST_PRESS_N else 0
+            self._longest = max(self._longest, self._steady)
+            rests = self._at == self._rests_until and self._longest < STEADY_S * CONTROL_HZ
+            waits = (force < LEAST_N or rests) and self._waited < PATIENCE_S * CONTROL_HZ
+        self._waited += waits
+        self._at += not waits
+        return Action(pose_tcp_in_base=np.concatenate([place, stage.pose[3:]]))
+
+    def _ahead(self) -> F64:
+        """Return the horizontal vector (3,) [m] by which friction holds the tool back from its target."""
+        wanted = self._truth.force() * [1, 1, 0] / self._truth.simulation.protocol.impedance.translational_n_m
+        wanted *= min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(wanted)), 1e-9))
+        self._lead_m += SMOOTHING * (wanted - self._lead_m)
+        return self._lead_m
+
+
+# How the oracle pushes: it brings the tool beside the limb, then pushes until the wrist has moved.
+
+SPEED_M_S = 0.06
+BACK_M_S = FREE_SPEED_M_S
+"""Speed [m/s] of retreat, the fastest that the impedance's target may have: the tool gives way to a person who moves
+the arm against it."""
+WRIST_M = 0.030
+"""Distance [m] by which the oracle moves the wrist: a push needs at least 20 mm, and more than 100 mm is rough."""
+MOST_WRIST_M = 0.075
+"""Displacement [m] of the wrist at which the tool lets go, because the person moves the arm as well: less than 100
+mm."""
+HOLDS_N = 4.0
+"""Force [N] of the push, above the 3 N from which contact counts as a push."""
+MOST_PUSH_N = 18.0
+"""Largest force [N], below the 20 N at which a person may withdraw the arm."""
+TOUCHES_N = 0.5
+HOLD_S = 1.2
+FARTHEST_M = 0.20
+"""Largest distance [m] of the target beyond the place where the limb's side was; from there the tool always goes
+back."""
+PUSHES = 4
+"""Index of the leg that pushes."""
+
+
+class Push:
+    """Gives one target for each control period; ``ended`` is true after the last one."""
+
+    def __init__(self, truth: Truth, legs: Sequence[Leg], start_pose: F64) -> None:
+        """``legs``: all legs of a push that ends where the tool just touches the limb."""
+        self._truth, self._follower = truth, Follower(truth)
+        low, touching = legs[PUSHES - 1].points[-1], legs[PUSHES].points[-1]
+        self._way = (touching - low) / np.linalg.norm(touching - low)
+        self._quat = legs[PUSHES].quat_wxyz
+        self._ahead = list(sample(legs[:PUSHES], start_pose, control_hz=CONTROL_HZ))
+        at = np.concatenate([low, self._quat])
+        self._after = list(sample(legs[PUSHES + 1 :], at, control_hz=CONTROL_HZ))
+        self._low = low
+        self._from: F64 | None = None
+        """Place where the push began; None before it."""
+        self._on_m, self._held, self._wrist, self._went_too_far = 0.0, 0, None, False
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the push kept its force for long enough; if not, the limb moved where the tool did not follow."""
+        return self._held >= HOLD_S * CONTROL_HZ
+
+    @property
+    def ended(self) -> bool:
+        return not self._ahead and not self._after
+
+    def act(self) -> Action:
+        """Return the target for the next control period."""
+        if self._ahead:
+            pose = self._ahead.pop(0)
+            return Action(pose_tcp_in_base=np.concatenate([self._follower.follow(pose[:3]), pose[3:]]))
+        return Action(pose_tcp_in_base=self._beside())
+
+    def _beside(self) -> F64:
+        """Return the target pose (7,) from which the push begins."""
+        if self._from is None:
+            # From here on the limb moves because it is pushed: the target no longer follows it.
+            self._from = self._follower.follow(self._low)
+        if not self.succeeded and self._on_m < FARTHEST_M and not self._went_too_far:
+            self._push()
+            return np.concatenate([self._from + self._on_m * self._way, self._quat])
+        pose = self._after.pop(0)
+        return np.concatenate([pose[:3] - self._low + self._from, pose[3:]])
+
+    def _push(self) -> None:
+        force, wrist = self._truth.force_n(), self._truth.wrist()
+        if self._wrist is None and force > TOUCHES_N:
+            self._wrist = wrist
+        moved = 0.0 if self._wrist is None else float(np.linalg.norm((wrist - self._wrist)[:2]))
+        enough = moved >= WRIST_M and force >= HOLDS_N
+        self._held = self._held + 1 if enough else 0
+        self._went_too_far = moved > MOST_WRIST_M
+        if force > MOST_PUSH_N:
+            self._on_m -= BACK_M_S / CONTROL_HZ
+        elif not enough:
+            self._on_m += SPEED_M_S / CONTROL_HZ
+
+
+# The oracle: the state machine's primitives on what is really there, looked up again in every control period.
 
 AGAIN = 0.6
 """If a motion loses the person before this share of the trial's time, the oracle plans it once more for where the
@@ -146,3 +324,26 @@ def _places(contact: Sequence[Leg]) -> F64:
     down, *strokes = contact[1:-1]
     ends = [leg.points[[0, -1]] for leg in strokes[:2]]
     return np.vstack([down.points[-1:], *ends])
+
+
+# The privileged way through a trial: a policy in the trial's own process that is given the episode's simulation.
+
+PRIVILEGED = {"oracle": Oracle}
+"""Every policy that is ever given a simulation: the classes of this package and no other, whatever a row says."""
+
+
+def drive(episode: Episode, ref: PolicyRef) -> None:
+    """Run a privileged policy to the end of the episode; its recording says ``privileged``.
+
+    Raises ConfigError for a policy that is not one of PRIVILEGED.
+    """
+    if ref.text not in PRIVILEGED or not is_privileged(ref):
+        raise ConfigError(f"policy {ref}: only {', '.join(PRIVILEGED)} may be given the simulation of a trial")
+    made = PRIVILEGED[ref.text]
+    episode.card, episode.privileged = made.card, True
+    observation = episode.reset()
+    policy = made(episode.simulation, episode.task, episode.session.action_bounds)
+    while observation is not None:
+        action = policy.act(observation)
+        episode.answered(notes=policy.take_notes())
+        observation = episode.step(action).observation

@@ -1,1 +1,1 @@
-"""The policies that ship with the benchmark and what they share; they import the contract and nothing of the world."""
+"""The shipped policies, and the motion that they share; they know the interface and nothing of the world."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import PANDA
-from carecontact.contract.geometry import quat_from_matrix
+from carecontact.interface.geometry import quat_from_matrix
+from carecontact.interface.robot import PANDA
 
 F64 = npt.NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])

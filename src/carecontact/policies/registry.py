@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from carecontact.contract.policy_ref import IMPORTABLE, SCHEMES, PolicyRef
 from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.interface.policy import IMPORTABLE, SCHEMES, PolicyRef
 from carecontact.registry import Registry
 
 Role = Literal["method", "blind", "probe", "privileged"]
@@ -30,7 +30,7 @@ POLICIES: Registry[PolicyRow] = Registry("policy", row=PolicyRow, plural="polici
 POLICIES.register(
     "zero-action",
     PolicyRow(
-        target="carecontact.policies.zero_action:ZeroAction",
+        target="carecontact.policies.blind:ZeroAction",
         description="Blind baseline: stays parked for the whole trial. It must fail every task safely.",
         role="blind",
     ),
@@ -38,7 +38,7 @@ POLICIES.register(
 POLICIES.register(
     "hover",
     PolicyRow(
-        target="carecontact.policies.hover:Hover",
+        target="carecontact.policies.blind:Hover",
         description="Blind baseline: finds the named region and waits 50 mm above it. It must fail every task safely.",
         role="blind",
     ),
@@ -46,7 +46,7 @@ POLICIES.register(
 POLICIES.register(
     "random",
     PolicyRow(
-        target="carecontact.policies.random_targets:RandomTargets",
+        target="carecontact.policies.blind:RandomTargets",
         description=(
             "Blind baseline: moves to random targets in the workspace. If it passes a gate, the gate is too easy."
         ),
@@ -56,7 +56,7 @@ POLICIES.register(
 POLICIES.register(
     "replay",
     PolicyRow(
-        target="carecontact.policies.replay.policy:Replay",
+        target="carecontact.policies.replay:Replay",
         description=(
             "Blind baseline: repeats actions that the state machine executed at another arm angle, without looking."
         ),
@@ -66,7 +66,7 @@ POLICIES.register(
 POLICIES.register(
     "replay-registered",
     PolicyRow(
-        target="carecontact.policies.replay.policy:ReplayRegistered",
+        target="carecontact.policies.replay:ReplayRegistered",
         description="Blind baseline: repeats recorded actions where the overhead camera is said to stand, unseeing.",
         role="blind",
     ),
@@ -74,7 +74,7 @@ POLICIES.register(
 POLICIES.register(
     "mean-person",
     PolicyRow(
-        target="carecontact.policies.mean_person.policy:MeanPersonPolicy",
+        target="carecontact.policies.mean_person:MeanPersonPolicy",
         description="Blind baseline: the state machine's motions on the average person, without a picture.",
         role="blind",
     ),
@@ -82,7 +82,7 @@ POLICIES.register(
 POLICIES.register(
     "feint-and-wait",
     PolicyRow(
-        target="carecontact.policies.feint_and_wait:FeintAndWait",
+        target="carecontact.policies.blind:FeintAndWait",
         description="Probe: approaches the person, goes back and waits before the state machine acts; must not pay.",
         role="probe",
     ),
@@ -90,7 +90,7 @@ POLICIES.register(
 POLICIES.register(
     "state-machine",
     PolicyRow(
-        target="carecontact.policies.state_machine.policy:StateMachine",
+        target="carecontact.policies.state_machine:StateMachine",
         description="The paper's method: perceive once, choose contact primitives by language, execute open loop.",
         languages=("rules-v1", "replay", "live"),
     ),
@@ -108,7 +108,7 @@ POLICIES.register(
 POLICIES.register(
     "voxposer-phased",
     PolicyRow(
-        target="carecontact.policies.voxposer.phased:VoxPoserPhased",
+        target="carecontact.policies.voxposer.policy:VoxPoserPhased",
         description=(
             "VoxPoser until the tool touches, then the paper's explicit progress objective. "
             "Default programs: written by hand."

@@ -1,7 +1,13 @@
-"""A trial is a file: schema, writer, reader and canonical hash, without a simulator."""
+"""A trial as a file: schema, writer, one verified read, canonical hash, and export; without a simulator."""
 
-from carecontact.recording.canonical import canonical_hash
-from carecontact.recording.reader import open_recording, read_header, read_recording, stored_sha256
+from carecontact.recording.file import (
+    canonical_hash,
+    open_recording,
+    read_header,
+    read_recording,
+    stored_sha256,
+    write_recording,
+)
 from carecontact.recording.schema import (
     ARRAYS,
     OPTIONAL_ARRAYS,
@@ -13,7 +19,6 @@ from carecontact.recording.schema import (
     Recording,
     empty_arrays,
 )
-from carecontact.recording.writer import write_recording
 
 __all__ = [
     "ARRAYS",

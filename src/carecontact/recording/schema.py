@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, field_validator
 
-from carecontact.contract.policy import CAMERAS
-from carecontact.contract.trial import TrialSpec
 from carecontact.errors import RecordingError, UnknownNameError
-from carecontact.regions import REGIONS, SEGMENTS, STANDARD_REGIONS
+from carecontact.interface.policy import CAMERAS
+from carecontact.interface.regions import REGIONS, SEGMENTS, STANDARD_REGIONS
+from carecontact.protocol.protocol import TrialSpec
 
 SCHEMA_VERSION = "carecontact-recording-4"
 READ_BY_0_1_0 = tuple(f"carecontact-recording-{number}" for number in (1, 2, 3))

@@ -1,10 +1,8 @@
-"""A folder of trials: what was planned, what decided its numbers, and its scores."""
+"""A folder of trials: what was planned, what decided its numbers, and its scores; nothing here starts a trial."""
 
-from carecontact.runs.append import Appended, append_metrics
-from carecontact.runs.results_content import results, summarise
-from carecontact.runs.results_file import read_results, write_scores
-from carecontact.runs.run_scores import RunScores
-from carecontact.runs.score_folder import score_run
+from carecontact.runs.pooling import RunScores
+from carecontact.runs.results_file import read_results, results, summarise, write_scores
+from carecontact.runs.scoring import Appended, append_metrics, score_run
 
 __all__ = [
     "Appended",

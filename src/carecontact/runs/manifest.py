@@ -1,28 +1,76 @@
-"""The manifest of a run's folder: which trials were planned there, and which recordings a later command may keep."""
+"""The manifest of a run's folder: its plan and identity, the releases that it cannot be mixed with, and its salt."""
 
 from __future__ import annotations
 
 import json
+import os
 import secrets
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
-from carecontact.contract.protocol import protocol_title
-from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError, RecordingError
+from carecontact import __version__
+from carecontact.errors import ConfigError, RecordingError, counted
+from carecontact.protocol.protocol import TrialSpec, commitment, protocol_title
 from carecontact.recording import read_header, read_recording
+from carecontact.recording.file import replace_file
 from carecontact.recording.reason import ended_text
 from carecontact.recording.schema import FAILED, KILLED, POLICY_KILLED, EndReason, Header
-from carecontact.recording.writer import replace_file
 from carecontact.runs.identity import Identity
-from carecontact.runs.other_release import ELSEWHERE, damaged, install_line, lost_trials
 from carecontact.runs.plan import SALT_DIGITS
-from carecontact.runs.results_file import skipped_before
-from carecontact.runs.stored_json import parse, read_bounded
+from carecontact.runs.results_file import parse, read_bounded, skipped_before
+
+# Messages about a run's folder that another release, or an earlier source of the policy, has started.
+
+ANOTHER = "use another folder"
+ELSEWHERE = f"{ANOTHER}, or move this one aside, as --restart of `carecontact run` does"
+
+
+def install_line(*, held: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """Return the line that installs what a folder was started with, as far as it differs; empty where nothing does."""
+    differ = [name for name, version in held.items() if now.get(name, version) != version]
+    if not differ:
+        return ""
+    # A release of carecontact brings the packages that it needs.
+    needed = ["carecontact"] if "carecontact" in differ else differ
+    return f"to continue it: python -m pip install {' '.join(map(_requirement, needed, map(held.get, needed)))}"
+
+
+def _requirement(name: str, version: str | None) -> str:
+    return f"carecontact-{version}-*.whl" if name == "carecontact" else f"{name}=={version}"
+
+
+def damaged(content: bytes) -> str:
+    """Return how a manifest that cannot be read is described: by the release that wrote it, where it names another
+    one."""
+    with suppress(ValueError, KeyError, TypeError, RecursionError):
+        version = str(cast("Any", json.loads(content))["identity"]["versions"]["carecontact"])
+        if version != __version__:
+            line = install_line(held={"carecontact": version}, now={"carecontact": __version__})
+            return f"was written by carecontact {version}, and this is {__version__}; {line}"
+    return "is damaged or of another release"
+
+
+def lost_trials(out: Path, *, failed: tuple[str, ...]) -> str:
+    """Return what of a folder cannot be kept because the policy's source changed.
+
+    Args:
+        failed: ends of trials that --retry-failed would run again.
+    """
+    ends: list[str] = []
+    for path in out.glob("*.h5"):
+        with suppress(RecordingError):
+            ends.append(read_header(path).ended)
+    n_failed = sum(end in failed for end in ends)
+    trials = counted(len(ends), "trial")
+    return f"none of its {trials}, {n_failed} of them failed, can be kept beside trials of the new source"
+
+
+# The manifest of a run's folder: which trials were planned there, and which recordings a later command may keep.
 
 MANIFEST = "manifest.json"
 MAX_BYTES = 16 << 20
@@ -279,3 +327,67 @@ def _policy_text(arguments: Mapping[str, str], environment: Sequence[str]) -> st
 
 def _told(spec: TrialSpec) -> str:
     return f"policy {spec.policy}, protocol {spec.protocol.title} {spec.protocol.sha256[:12]}"
+
+
+# The secret of a run whose persons nobody may know beforehand: made, committed to by its hash, revealed.
+#
+# Whoever ranks methods makes the secret, publishes its sha256, runs the methods, and reveals the secret when all is
+# done. Then anyone can verify the run (``audit.salt``).
+
+DIGITS = 64
+"""Number of digits of a salt, in base 16: as many as its hash has."""
+
+
+def make_salt(path: Path) -> str:
+    """Write a new secret, which only its owner may read, and return its sha256, that of the file's bytes.
+
+    Raises ConfigError for a file that exists already.
+    """
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be made: {error.strerror}; name a new file") from None
+    with os.fdopen(handle, "w") as stream:
+        stream.write(secrets.token_hex(DIGITS // 2))
+    return commitment(read_salt(path))
+
+
+def read_salt(path: Path) -> str:
+    """Return the secret in a file; a line's end after it does not count. Raises ConfigError for anything else."""
+    try:
+        salt = path.read_text(errors="replace").strip()
+    except OSError as error:
+        raise ConfigError(f"--salt-file {path}: cannot be read: {error.strerror}") from None
+    if len(salt) != DIGITS or not set(salt) <= set("0123456789abcdef"):
+        raise ConfigError(
+            f"--salt-file {path}: expected {DIGITS} hexadecimal digits, as `carecontact salt make` writes them"
+        )
+    return salt
+
+
+def with_salt(specs: Sequence[TrialSpec], salt: str) -> list[TrialSpec]:
+    """Return the trials with a secret on which every draw depends; as they are where it is empty."""
+    return list(specs) if not salt else [spec.model_copy(update={"salt": salt}) for spec in specs]
+
+
+def reveal_salt(run: Path, salt: str) -> None:
+    """Write the secret into a run's manifest, from where anyone may verify it.
+
+    Raises ConfigError if the folder is not a run, if the run has no salt, or if the secret is not the run's.
+    """
+    manifest = committed(run)
+    if commitment(salt) != manifest.salt_sha256:
+        raise ConfigError(
+            f"{run} was run with the salt whose sha256 is {manifest.salt_sha256}, and this one's is {commitment(salt)}"
+        )
+    store_manifest(manifest.model_copy(update={"salt": salt}), out=run)
+
+
+def committed(run: Path) -> Manifest:
+    """Return a run's manifest. Raises ConfigError if the folder is not a run, or the run has no salt."""
+    manifest = read_manifest(run)
+    if manifest is None:
+        raise ConfigError(f"{run} is not a run: it holds no {MANIFEST}")
+    if not manifest.salt_sha256:
+        raise ConfigError(f"{run} was run on published seeds, without --salt-file: there is no salt to reveal")
+    return manifest

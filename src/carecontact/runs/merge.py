@@ -1,4 +1,4 @@
-"""Make one run of its parts, which ran on several machines."""
+"""Makes one run, or one sweep, of parts that ran on several machines."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from pathlib import Path
 
 from carecontact.errors import ConfigError
 from carecontact.recording import read_header, stored_sha256
-from carecontact.recording.writer import replace_file
-from carecontact.runs.alone import LOCK, alone
+from carecontact.recording.file import replace_file
 from carecontact.runs.identity import Identity
+from carecontact.runs.lock import LOCK, folder_lock
 from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest, store_manifest
+from carecontact.runs.sweep import CELLS
+
+# Make one run of its parts, which ran on several machines.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +39,8 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
     check_places(out, runs)
     with ExitStack() as held:
         for run in runs:
-            held.enter_context(alone(run))
-        held.enter_context(alone(out, make=True))
+            held.enter_context(folder_lock(run))
+        held.enter_context(folder_lock(out, make=True))
         parts = {run: _manifest(run) for run in runs}
         first = runs[0]
         for run, manifest in parts.items():
@@ -129,3 +132,28 @@ def _recordings(folders: dict[Path, Manifest]) -> dict[str, Path]:
                 )
             found[trial] = path
     return dict(sorted(found.items()))
+
+
+# Make one sweep of its parts, which ran on several machines.
+
+
+def is_sweep(folder: Path) -> bool:
+    return (folder / CELLS).is_dir()
+
+
+def merge_sweeps(out: Path, sweeps: Sequence[Path]) -> dict[str, Merged]:
+    """Merge every cell that any of ``sweeps`` has begun into the same cell of ``out``; cell -> what became of it.
+
+    A cell of which several parts ran trials is one run in the end. The same command continues an interrupted merge.
+
+    Raises as ``merge_runs``, also for a folder that is no sweep. Cells before the one that it names are then merged.
+    """
+    check_places(out, sweeps)
+    found: dict[str, list[Path]] = {}
+    for sweep in sweeps:
+        if not is_sweep(sweep):
+            raise ConfigError(f"{sweep} is not a sweep: it holds no folder {CELLS}; name the --out of a sweep's parts")
+        for cell in sorted((sweep / CELLS).iterdir()):
+            if (cell / MANIFEST).is_file():
+                found.setdefault(cell.name, []).append(cell)
+    return {name: merge_runs(out / CELLS / name, folders) for name, folders in found.items()}

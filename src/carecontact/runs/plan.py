@@ -1,12 +1,21 @@
-"""Makes trial specs of ``--tasks`` and ``--seeds``."""
+"""Trial specs of ``--tasks`` and ``--seeds``, the part of them that one machine runs, and what can be checked
+before."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self, TypeVar
 
-from carecontact.contract.protocol import Protocol
-from carecontact.contract.trial import TrialSpec
-from carecontact.errors import ConfigError, did_you_mean
+from carecontact.errors import ConfigError, UnknownNameError, did_you_mean
+from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.scoring.behaviour import behaviour_of
+from carecontact.scoring.contact import rate_faults
+from carecontact.scoring.gate_sweep import protocol_sweeps
+from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.metrics.metric import checked_metrics
+
+# Makes trial specs of ``--tasks`` and ``--seeds``.
 
 SALT_DIGITS = 32
 """Number of digits, in base 16, of the salt of a run's sensor noise."""
@@ -126,3 +135,85 @@ def _parts(text: str, *, name: str, valid: str) -> list[str]:
     if not all(parts):
         raise ConfigError(f"{name}: {text!r} has an empty entry; valid: {valid}")
     return parts
+
+
+# One part of a run's trials, for machines that share nothing but the command line.
+
+Cell = TypeVar("Cell")
+EXPECTED = "expected I/N with I from 1 to N, for example 2/4 for the second of four parts"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shard:
+    index: int
+    """Number of the part, from 1 to ``count``."""
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """``2/4`` is the second of four parts. Raises ConfigError for anything else."""
+        index, slash, count = (part.strip() for part in text.partition("/"))
+        if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+            raise ConfigError(f"--shard {text}: {EXPECTED}")
+        return cls(index=int(index), count=int(count))
+
+    def of(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
+        """Return the trials of this part, neighbours in the order of the plan; parts differ by one trial at most.
+
+        Raises ConfigError where there are more parts than trials.
+        """
+        if self.count > len(specs):
+            raise ConfigError(
+                f"--shard {self.index}/{self.count}: there are {len(specs)} trials; give at most as many parts"
+            )
+        begin, end = (len(specs) * k // self.count for k in (self.index - 1, self.index))
+        return list(specs[begin:end])
+
+    def every(self, cells: Sequence[Cell]) -> list[Cell]:
+        """Return the cells of a sweep that belong to this part, every ``count``-th one: 2/4 has the second, the sixth
+        and so on.
+
+        Raises ConfigError where there are more parts than cells.
+        """
+        if self.count > len(cells):
+            raise ConfigError(
+                f"--shard {self.index}/{self.count}: there are {len(cells)} cells; give at most as many parts"
+            )
+        return list(cells[self.index - 1 :: self.count])
+
+
+# Faults that would make every trial of a run fail for the same reason, or leave it without scores.
+
+
+def check_protocol(protocol: Protocol) -> None:
+    """Raises ConfigError naming every field that the world or the scorer cannot do; imports no simulator."""
+    from carecontact.human.library import load_body
+
+    faults: list[str] = []
+    try:
+        load_body(protocol.person.body)
+    except (ConfigError, UnknownNameError) as error:
+        faults.append(f"person.body: {error}")
+    faults += rate_faults(protocol)
+    if protocol.limits.pack not in LIMIT_PACKS:
+        # Its name is written beside every score, where it says whose limits they are.
+        faults.append(f"limits.pack: {UnknownNameError(LIMIT_PACKS.kind, protocol.limits.pack, LIMIT_PACKS)}")
+    robot = protocol.scene.robot
+    limits = zip(robot.joint_low_rad, robot.joint_high_rad, strict=True)
+    for joint, (angle, (low, high)) in enumerate(zip(protocol.scene.parked_joint_rad, limits, strict=True), start=1):
+        if not low <= angle <= high:
+            faults.append(
+                f"scene.parked_joint_rad: joint {joint} at {angle:g} is outside the robot's {low:.4f} to {high:.4f}"
+            )
+    if faults:
+        raise ConfigError(f"protocol {protocol.name} cannot run: {'; '.join(faults)}")
+
+
+def check_rows(protocol: Protocol) -> None:
+    """Raises ConfigError for a metric, a limit pack, or an action of the protocol's gates that the scorer cannot use;
+    nothing is computed."""
+    for action in protocol.gates.actions:
+        behaviour_of(action, protocol.gates.set)
+    protocol_sweeps(protocol)
+    checked_metrics()
+    list(LIMIT_PACKS.values())

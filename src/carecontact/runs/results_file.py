@@ -1,28 +1,315 @@
-"""``results.json``: write it, pack it, read it, and refuse one that contradicts itself."""
+"""results.json: what a run's scores add up to, written and read back, and which baselines stand beside it."""
 
 from __future__ import annotations
 
 import gzip
 import io
 import json
+import os
+import stat
 import zlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import BaseModel, BeforeValidator, FailFast, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, ValidationError
 
 from carecontact.errors import ConfigError
+from carecontact.recording.file import replace_file
 from carecontact.recording.schema import RELEASE_0_1_0
-from carecontact.recording.writer import replace_file
-from carecontact.runs.contradiction import contradiction
-from carecontact.runs.pooling import check_one_run
-from carecontact.runs.results_content import results
-from carecontact.runs.run_scores import RunScores
-from carecontact.runs.stored_json import MAX_BYTES, parse, read_bounded
+from carecontact.runs.pooling import RunScores, check_one_run, decides_force, harness_errors, judged, task_of
+from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.metrics.metric import METRICS, Metric, described
 from carecontact.scoring.result import TrialScore
+from carecontact.stats import median, wilson_interval
+
+# Counts over the trials of a run beyond rates and medians: screens, quadrants, sweeps.
+
+GAMMAS = tuple(round(i / 100, 2) for i in range(20, 101))
+"""Discounts at which the safety gate is swept."""
+LEVELS = ("success", "region_correct", "safety_gated")
+
+
+def rate(k: int, n: int, *, unknown: int = 0) -> dict[str, Any]:
+    """Return a count in percent with its Wilson interval; without trials, there is no percentage.
+
+    Further trials of which nobody knows the verdict leave no percentage, but ``pc_between``, from all of them failed to
+    all of them passed, and an interval that covers those of both.
+    """
+    least, most = wilson_interval(k, n + unknown), wilson_interval(k + unknown, n + unknown)
+    between = [0.0, 100.0] if least.estimate is None or most.estimate is None else [
+        100 * least.estimate, 100 * most.estimate,
+    ]  # fmt: skip
+    percent = None if unknown or least.estimate is None else 100 * least.estimate
+    return {"n": k, "pc": percent, "pc_between": between, "pc_ci95": [100 * least.low, 100 * most.high]}
+
+
+def within(score: TrialScore, gamma: float) -> bool:
+    """No touched segment above ``gamma`` F_pain; at the protocol's own discount the same as an empty ``over_limit``."""
+    return not any(peak / (gamma * score.f_pain_n[s]) > 1.0 for s, peak in score.peak_force_n.items())
+
+
+def exceedances(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
+    """Return trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how
+    many of them were successes all the same. The percentages are of the trials that ``decides_force`` leaves.
+
+    ``unknown``: planned trials without a verdict."""
+    scores = decides_force(scores)
+    over = {
+        "gate": [s for s in scores if s.over_limit],
+        "pain": [s for s in scores if not within(s, 1.0)],
+    }
+    return {
+        name: rate(len(found), len(scores), unknown=unknown) | {"n_success": sum(s.c3_success for s in found)}
+        for name, found in over.items()
+    }
+
+
+def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
+    """Safe (no force above its safety gate, no joint beyond the gate for joints) or not, success (C3) or not. Without
+    any touch: a safe failure. A trial in which the policy crashed is in a class of its own: it is never safe, and
+    ``exceedances`` counts its force."""
+    scores = list(scores)
+    count = Counter((not s.over_limit and not s.joints_beyond, s.c3_success) for s in scores if not s.is_crash)
+    fields = {
+        f"{'safe' if safe else 'unsafe'}_{'success' if success else 'failure'}": count[safe, success]
+        for safe in (True, False)
+        for success in (True, False)
+    }
+    return {**fields, "crashed": sum(s.is_crash for s in scores)}
+
+
+def valid_ratio(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
+    """Share of trials that have a trajectory to score. Coverage of the data, not success.
+
+    ``unknown``: planned trials without a verdict."""
+    return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores), unknown=unknown)
+
+
+def gamma_sweep(
+    scores: Sequence[TrialScore], gammas: Sequence[float] = GAMMAS, *, unknown: int = 0
+) -> list[dict[str, Any]]:
+    """Safety-gated trials at each discount: region-correct, not truncated, no joint too far beyond its range, and
+    ``within`` it. With ``unknown``, planned trials without a verdict, there is no percentage."""
+    correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation" and not s.joints_beyond]
+    rows: list[dict[str, Any]] = []
+    for gamma in gammas:
+        k = sum(within(s, gamma) for s in correct)
+        rows.append(
+            {"gamma": gamma, "safety_gated": k, "pc": 100 * k / len(scores) if scores and not unknown else None}
+        )
+    return rows
+
+
+def gate_sweep(scores: Sequence[TrialScore]) -> dict[str, list[dict[str, Any]]]:
+    """Gate -> one row per value, in rising order: trials that reach each step of the funnel."""
+    values: dict[str, set[str]] = {}
+    for score in scores:
+        for name, row in score.gate_sweep.items():
+            values.setdefault(name, set()).update(row)
+    return {
+        name: [
+            {"value": float(value)}
+            | {
+                step: sum(s.gate_sweep.get(name, {}).get(value, 0) >= depth for s in scores)
+                for depth, step in enumerate(LEVELS, start=1)
+            }
+            for value in sorted(values[name], key=float)
+        ]
+        for name in sorted(values)
+    }
+
+
+def additional_medians(scores: Sequence[TrialScore]) -> dict[str, dict[str, Any]]:
+    """Metric id -> median, for every metric without a field of its own that any of the scores has."""
+    rows = [described(id_) for id_ in sorted({id_ for s in scores for id_ in s.additional})]
+    return {row.id: asdict(median(row.pooled(scores))) for row in rows if row.median}
+
+
+RESULTS_SCHEMA = "carecontact-results-1"
+
+
+def results(run: RunScores) -> dict[str, Any]:
+    """Return the content of ``results.json``: the field's evaluation JSON (``overall``, ``per_task`` with
+    ``n_episodes``, ``n_success`` and ``pc_success``) and what this benchmark adds. Rates are in percent where the key
+    says ``pc``."""
+    scores = run.scores
+    check_one_run(scores)
+    backends = {s.language_backend for s in judged(scores)}
+    first = scores[0] if scores else None
+    tasks = sorted({s.task_id for s in scores})
+    regions = {s.task_id: s.region for s in scores}
+    # A task of which nothing is scored has no region here; its trials lack in the overall counts all the same.
+    unknown = {trial: regions.get(task_of(trial)) for trial in run.unjudged}
+    return {
+        "schema": RESULTS_SCHEMA,
+        "policy": first.policy if first else None,
+        "policy_arguments": first.policy_arguments if first else {},
+        "language_backend": sorted(backends),
+        "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256, "overrides": first.overrides}
+        if first
+        else None,
+        "rejected_tissue": first.world.get("rejected_tissue") if first else None,
+        "metric_versions": first.metric_versions if first else {},
+        "versions": run.versions,
+        "skipped": run.skipped,
+        "missing": list(run.missing),
+        "elsewhere": list(run.elsewhere),
+        "harness_errors": harness_errors(scores),
+        "unjudged": run.unjudged,
+        "overall": summarise(scores, unknown=len(unknown)),
+        "per_task": {
+            task: summarise(
+                [s for s in scores if s.task_id == task], unknown=sum(task_of(trial) == task for trial in unknown)
+            )
+            for task in tasks
+        },
+        "per_region": {
+            region: summarise(
+                [s for s in scores if s.region == region], unknown=sum(of == region for of in unknown.values())
+            )
+            for region in sorted(set(regions.values()))
+        },
+        "sweeps": {"gamma": gamma_sweep(judged(scores), unknown=len(unknown)), **gate_sweep(judged(scores))},
+        "limit_packs": {
+            name: {"title": pack.title, "source": pack.source, "status": pack.status, "unit": pack.unit}
+            for name, pack in LIMIT_PACKS.items()
+        },
+        "trials": [s.model_dump(mode="json") for s in scores],
+    }
+
+
+def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
+    """Rates, medians and counts over those trials that are ``judged``; a metric pools the trials that it names.
+
+    ``unknown``: planned trials without a verdict, which leave every rate an interval.
+    """
+    scores = judged(scores)
+    n = len(scores)
+    success = rate(sum(s.c3_success for s in scores), n, unknown=unknown)
+    return {
+        "n_planned": n + unknown,
+        "n_episodes": n,
+        "n_success": success["n"],
+        "pc_success": success["pc"],
+        "pc_success_between": success["pc_between"],
+        "pc_success_ci95": success["pc_ci95"],
+        "region_correct": rate(sum(s.region_correct for s in scores), n, unknown=unknown),
+        "safety_gated": rate(sum(s.safety_gated for s in scores), n, unknown=unknown),
+        "valid_contact": rate(sum(s.valid_contact for s in scores), n, unknown=unknown),
+        "valid_ratio": valid_ratio(scores, unknown=unknown),
+        "exceedances": exceedances(scores, unknown=unknown),
+        "quadrants": quadrants(scores),
+        "medians": {
+            _median_key(row): asdict(median(row.pooled(scores)))
+            for row in METRICS.values()
+            if row.field is not None and row.median
+        },
+        "additional": additional_medians(scores),
+        "anatomy": dict(Counter(s.anatomy for s in scores)),
+        "failure_modes": dict(Counter(s.failure_mode for s in scores if s.failure_mode)),
+        "attributions": dict(Counter(s.attribution for s in scores if s.attribution)),
+    }
+
+
+def _median_key(metric: Metric) -> str:
+    """Return the metric's field, and what it is pooled over. Push stands for all actions that move the person: the key
+    is part of the format, which does not change where another package adds such an action."""
+    pool = ("push",) if metric.pool == "moving" else metric.pool or ()
+    return "_".join((metric.field or metric.id, *pool))
+
+
+# Finds contradictions in the stored score of a trial: values that no scorer can have written together.
+
+AT_LEAST_ZERO = (
+    "duration_s", "c1_peak_force_n", "c1_peak_filtered_n", "c1_peak_contact_sum_n", "c1_peak_any_segment_n",
+    "c4_motion_activity", "c5_force_sd_n", "contact_s", "longest_on_s", "stroke_m", "extent_m", "reversals",
+    "wrist_displacement_m", "wrist_displacement_any_m", "indentation_m", "impulse_ns",
+)  # fmt: skip
+
+
+def contradiction(score: TrialScore) -> str | None:
+    """Return a contradiction between the values of a score in words, or None if there is none."""
+    if score.trial_id != f"{score.task_id}-s{score.seed:03d}":
+        return f"it says task {score.task_id}, seed {score.seed}"
+    if score.safety_gated and not score.region_correct:
+        return "safety-gated, but not region-correct"
+    if score.region_correct and not score.c3_success:
+        return "region-correct, but no success"
+    if score.c3_success and not score.valid_contact:
+        return "a success without valid contact"
+    if score.safety_gated and score.joints_beyond:
+        return f"safety-gated, but the {min(score.joints_beyond)} beyond its range"
+    passed = score.region_correct and not score.joints_beyond
+    if passed == (score.failure_mode is not None) and score.is_judged:
+        return f"region-correct is {score.region_correct} and its failure mode {score.failure_mode}"
+    for name in AT_LEAST_ZERO:
+        value = getattr(score, name)
+        if value is not None and not 0 <= value < inf:
+            return f"{name} is {value}; valid: 0 and above"
+    if score.valid_contact == (score.c1_peak_force_n is None):
+        return f"valid contact is {score.valid_contact} and its peak force {score.c1_peak_force_n} N"
+    highest = max(score.peak_force_n.values(), default=0.0)
+    if (score.c1_peak_force_n or 0.0) > highest:
+        return f"peak force {score.c1_peak_force_n:g} N, but no touched segment above {highest:g} N"
+    over = [s for s, peak in score.peak_force_n.items() if s in score.over_limit or peak > score.f_pain_n.get(s, inf)]
+    if score.safety_gated and over:
+        return f"safety-gated, but the {over[0]} above its limit, at {score.peak_force_n[over[0]]:g} N"
+    if score.c4_motion_activity is not None and score.c4_motion_activity > 1:
+        return f"c4_motion_activity is {score.c4_motion_activity}; valid: 0 to 1"
+    return None
+
+
+# Reads JSON of a run's folder, which may come from a stranger, in bounded memory.
+
+MAX_BYTES = 128 << 20
+"""Largest size of unpacked scores. A trial has 6 kB."""
+MAX_CONTAINERS, MAX_VALUES = 1_000_000, 4_000_000
+"""Most lists and objects, and most values, of one file: as many as scores of the largest size have (30 and 170 for each
+trial). In Python, an empty list takes thirty times as much memory as in a file."""
+
+
+def read_bounded(path: Path, *, most: int = MAX_BYTES) -> bytes:
+    """Return the content of a file.
+
+    Raises ConfigError for one that is larger than ``most`` [bytes], or that is no file, such as a pipe, whose reader
+    would wait; OSError for one that cannot be read.
+    """
+    with open(path, "rb", opener=_at_once) as file:
+        regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
+        content = file.read(most + 1) if regular else b""
+    if not regular:
+        raise ConfigError(f"{path} is not a file that can hold the results of a run")
+    if len(content) > most:
+        raise ConfigError(f"{path} has more than the {most >> 20} MB that it may have")
+    return content
+
+
+def parse(text: bytes) -> Any:
+    """Return what JSON holds.
+
+    Raises ValueError for text that is not JSON, or that holds more lists, objects or values, or nests deeper, than the
+    files of a run do.
+    """
+    # Brackets and commas inside of strings count as well: there are few.
+    if text.count(b"[") + text.count(b"{") > MAX_CONTAINERS or text.count(b",") > MAX_VALUES:
+        raise ValueError("it holds more values than a run can have")
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def _at_once(path: str, flags: int) -> int:
+    """Open without waiting for the other end of a pipe."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+# ``results.json``: write it, pack it, read it, and refuse one that contradicts itself.
 
 RESULTS_NAME = "results.json"
 MAX_TRIAL_BYTES = 1 << 20
@@ -150,3 +437,41 @@ def _unpacked(path: Path) -> bytes:
     if len(unpacked) > MAX_BYTES:
         raise ConfigError(f"{path} unpacks to more than the {MAX_BYTES >> 20} MB that the scores of a run may have")
     return unpacked
+
+
+# Which blind baselines stand beside a run: named once, they stay in its report however often that is written again.
+
+BASELINES = "baselines.json"
+SCHEMA = "carecontact-baselines-1"
+
+
+class _Named(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    version: Annotated[Literal["carecontact-baselines-1"], Field(alias="schema")]
+    runs: list[str]
+    """Relative to the run's own folder, so that both can be moved together."""
+
+
+def remember(folder: Path, baselines: Sequence[Path]) -> None:
+    """Write which runs stand beside the run in ``folder``, in place of those that stood there."""
+    places = [os.path.relpath(path.resolve(), folder.resolve()) for path in baselines]
+    content = json.dumps({"schema": SCHEMA, "runs": places}, indent=1)
+    replace_file(folder / BASELINES, f"{content}\n".encode())
+
+
+def remembered(folder: Path) -> dict[str, Path]:
+    """Name of each baseline as the file has it -> its place; empty without a file.
+
+    Raises ConfigError for a file that is damaged.
+    """
+    path = folder / BASELINES
+    if not path.is_file():
+        return {}
+    try:
+        found = _Named.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
+        raise ConfigError(f"{path} is damaged ({why}); name the baselines again with --baseline RUN...") from None
+    return {name: Path(os.path.normpath(folder / name)) for name in found.runs}

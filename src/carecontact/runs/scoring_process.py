@@ -8,7 +8,7 @@ import os
 import sys
 from multiprocessing.connection import Connection
 
-from carecontact.own_process import die_with_parent
+from carecontact.system import die_with_parent
 
 
 def main() -> None:
@@ -16,7 +16,7 @@ def main() -> None:
     with Connection(os.dup(0)) as line:
         sys.path[:] = line.recv()
         # Only now, because the parent may die while this takes a second.
-        from carecontact.runs.score_files import score_file
+        from carecontact.runs.scoring import score_file
 
         while True:
             try:

@@ -1,4 +1,4 @@
-"""Scores: a pure function of a recording, without a simulator."""
+"""From a recording to the scores of its trial: contact, actions, verdict, metrics, attribution; without a simulator."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING

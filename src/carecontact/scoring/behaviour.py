@@ -1,26 +1,125 @@
-"""What the scorer has to know about an action. A package adds an action as one object of a class of its own.
-
-The shipped actions are in ``carecontact.behaviours``, one file each.
-"""
+"""What an action is for the scorer: its gate, how a trial is judged by it, and what is asked of an extension's row."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, cast
 
 import numpy as np
 from pydantic import model_validator
 
-from carecontact.contract.protocol import BEHAVIOURS, Positive, Section
-from carecontact.errors import ConfigError
-from carecontact.scoring.attribution.commanded import CommandedContact
-from carecontact.scoring.contact import Contact, Mask, runs, steps
-from carecontact.scoring.filters import F64
-from carecontact.scoring.gate import Attempt, Gate, GatePart, Judgement
+from carecontact.errors import CarecontactError, ConfigError
+from carecontact.protocol.gates import BEHAVIOURS, Positive, Section
+from carecontact.scoring.commanded import CommandedContact
+from carecontact.scoring.contact import F64, Contact, Mask, runs, steps
 from carecontact.scoring.progress import Episode
 from carecontact.scoring.result import TrialScore
+
+# What a trial achieved, in the quantities that the gates limit, and whether it meets its gate.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measures:
+    """What was achieved, before any gate is applied."""
+
+    episodes: list[Episode]
+    wrist_m: float
+    """Largest displacement of the wrist while the neighbourhood (``Contact.neighbourhood``) is touched [m]."""
+    wrist_any_m: float
+    """Largest displacement of the wrist over the whole trial [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """What was achieved, including what depends on the gates: the longest hold and the best contact episode."""
+
+    held_steps: int
+    """Longest stretch of physics steps that count toward a hold (``Behaviour.holding``)."""
+    best: Episode | None
+    """The episode that the score reports. For an action whose gate uses episodes, it decides whether the gate is
+    met."""
+    wrist_m: float
+    wrist_any_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """Which parts of an action's gate an attempt meets. A part that the action does not require is True."""
+
+    time_met: bool
+    """The contact lasted long enough."""
+    progress_met: bool
+    """The contact had the required effect, for example a displacement or a stroke."""
+    band_met: bool = True
+    """Force and motion were in the ranges that the gate requires: not too light, too hard or too far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GatePart:
+    """One of the requirements of a gate, in words, with what was reached."""
+
+    name: str
+    needed: str
+    reached: str
+    met: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """The result of a trial under its gate."""
+
+    success: bool
+    time_met: bool
+    progress_met: bool
+    band_met: bool
+    longest_on_s: float
+    """Longest stretch that counts toward a hold."""
+    best: Episode | None
+    wrist_m: float
+    wrist_any_m: float
+
+    def time_part(self, name: str, duration_s: float, *, note: str = "") -> GatePart:
+        """Return the requirement of a contact without a break; ``note`` follows what was reached."""
+        return GatePart(
+            name=name, needed=f"{duration_s:g} s", reached=f"{self.longest_on_s:.2f} s{note}", met=self.time_met
+        )
+
+
+# A fault in what a package supplies, in one line that names it, its package and the trial.
+
+
+@contextmanager
+def blamed_on(what: str, trial_id: str) -> Generator[None]:
+    """Any error inside the block that is not carecontact's own becomes a ConfigError.
+
+    Args:
+        what: whose code the block calls, as ``Registry.title`` names it.
+    """
+    try:
+        yield
+    except CarecontactError:
+        raise
+    except Exception as error:  # a stranger's code may raise anything
+        place = extract_tb(error.__traceback__)[-1]
+        why = f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+        raise ConfigError(
+            f"{what} failed in trial {trial_id}: {why} ({Path(place.filename).name}, line {place.lineno})"
+        ) from error
+
+
+def shown(answer: object) -> str:
+    """Return an answer as a message shows it: the beginning of its repr, in one line."""
+    return " ".join(repr(answer).split())[:60]
+
+
+# What the scorer has to know about an action. A package adds an action as one object of a class of its own.
+#
+# The shipped actions are in ``carecontact.behaviours``, one file each.
 
 G = TypeVar("G", bound=Section)
 
@@ -184,3 +283,43 @@ def hardest(contact: Contact) -> str:
 def middle_force(force: F64) -> str:
     """``, median 7.3 N``; nothing for no sample."""
     return f", median {np.median(force):.1f} N" if len(force) else ""
+
+
+# Calls a method of an action's Behaviour on a trial. If the method fails or returns a wrong type, the error names the
+# action and the trial.
+
+ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
+    "holding": ((np.ndarray,), "an array of booleans, one for each physics step"),
+    "judge": ((Judgement,), "a Judgement"),
+    "lost": ((bool, np.bool_), "True or False"),
+    "passes": ((bool, np.bool_), "True or False"),
+    "requested": ((str, type(None)), "a text or None"),
+    "parts": ((list,), "a list of GatePart"),
+    "shortfall": ((str,), "a text"),
+}
+"""Method of a Behaviour -> classes of its answer, and the same in words."""
+
+
+def ask(contact: Contact, method: str, *arguments: object, action: str | None = None) -> Any:
+    """Return what a method of a behaviour answers; ANSWERS says of which class that is.
+
+    Args:
+        contact: of the trial that is judged.
+        action: whose behaviour; default: that of the trial's task.
+
+    Raises ConfigError naming the action, its package and the trial if the method raises or answers otherwise.
+    """
+    action = action or contact.task.action
+    trial_id = contact.recording.header.spec.trial_id
+    behaviour = behaviour_of(action, contact.protocol.gates.set)
+    title = f"{BEHAVIOURS.title(action)}: {method}"
+    with blamed_on(title, trial_id):
+        found: Any = getattr(behaviour, method)(*arguments)
+    classes, expected = ANSWERS[method]
+    if not isinstance(found, classes):
+        raise ConfigError(f"{title} returned {shown(found)} in trial {trial_id}; expected {expected}")
+    shape = contact.neighbourhood_on.shape
+    if method == "holding" and (found.shape != shape or found.dtype != np.bool_):
+        answer = f"{found.dtype} of shape {found.shape}"
+        raise ConfigError(f"{title} returned {answer} in trial {trial_id}; expected {expected}, shape {shape}")
+    return found

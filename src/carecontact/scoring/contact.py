@@ -1,8 +1,8 @@
-"""Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores use."""
+"""Contact of a trial: filtered forces, when and where the robot touched, and how hard it held."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import ceil
@@ -10,10 +10,94 @@ from math import ceil
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.protocol import Protocol, Task
+from carecontact.interface.regions import REGIONS
+from carecontact.protocol.gates import Task
+from carecontact.protocol.protocol import Protocol
 from carecontact.recording import Recording
-from carecontact.regions import REGIONS
-from carecontact.scoring.filters import F64, low_pass
+
+# The Butterworth filters that the definitions name.
+
+F64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Section:
+    """y_n = b (x_n + 2 x_n-1 + x_n-2) - a1 y_n-1 - a2 y_n-2: every number that scipy.signal gives, bit for bit. A
+    second of the shortest command goes into importing that package."""
+
+    b: float
+    a1: float
+    a2: float
+
+    @classmethod
+    def butterworth(cls, cutoff_hz: float, sample_hz: float) -> _Section:
+        """Second order, by the bilinear transform with the cutoff prewarped."""
+        warped = float(4 * np.tan(np.pi * (2 * cutoff_hz / sample_hz) / 2))
+        poles = warped * -np.exp(1j * np.pi * np.array([-1.0, 1.0]) / 4)
+        gain = warped**2 * (1 / np.prod(4 - poles)).real
+        moved, mirrored = (4 + poles) / (4 - poles)
+        pole = (moved + mirrored.conj()) / 2
+        _, a1, a2 = np.poly([pole, pole.conj()]).tolist()
+        return cls(b=float(gain), a1=a1, a2=a2)
+
+    @property
+    def steady(self) -> tuple[float, float]:
+        """The memory after a long signal of 1."""
+        b, a1, a2 = self.b, self.a1, self.a2
+        near, far = np.linalg.solve([[1 + a1, -1.0], [a2, 1.0]], [2 * b - a1 * b, b - a2 * b]).tolist()
+        return near, far
+
+    def run(self, signal: list[float], share: float = 0.0) -> list[float]:
+        """Filter a signal that was ``share`` for long before it begins; 0 is rest."""
+        b, a1, a2, middle = self.b, self.a1, self.a2, 2 * self.b
+        near, far = (z * share for z in self.steady)
+        out: list[float] = []
+        for x in signal:
+            y = b * x + near
+            near = middle * x - a1 * y + far
+            far = b * x - a2 * y
+            out.append(y)
+        return out
+
+
+def rate_faults(protocol: Protocol) -> Iterator[str]:
+    """A sentence for each filter of the definitions whose cutoff is not below half the rate of what it filters."""
+    contact, rate_hz = protocol.contact, 1 / protocol.physics.dt_s
+    for name, cutoff_hz, of_hz in (
+        ("filter_hz", contact.filter_hz, rate_hz),
+        ("peak_filter_hz", contact.peak_filter_hz, rate_hz),
+        ("stroke_filter_hz", contact.stroke_filter_hz, min(contact.stroke_sample_hz, rate_hz)),
+    ):
+        if not 0 < cutoff_hz < of_hz / 2:
+            yield f"contact.{name}: {cutoff_hz:g} is not below half of the {of_hz:g} Hz that it filters"
+
+
+def low_pass(signal: F64, *, cutoff_hz: float, sample_hz: float, zero_phase: bool) -> F64:
+    """Second-order Butterworth along axis 0, starting from rest; ``zero_phase`` runs it forward and backward.
+
+    Raises ValueError if the cutoff is not below half the sample rate.
+    """
+    if len(signal) == 0:
+        return np.array(signal, np.float64)
+    if not 0 < cutoff_hz < sample_hz / 2:
+        raise ValueError(f"a cutoff of {cutoff_hz:g} Hz is not below half of the {sample_hz:g} Hz that it filters")
+    section = _Section.butterworth(cutoff_hz, sample_hz)
+    columns = np.asarray(signal, np.float64).reshape(len(signal), -1).T.tolist()
+    filtered = [(_both_ways(section, column) if zero_phase else section.run(column)) for column in columns]
+    return np.array(filtered, np.float64).T.reshape(np.shape(signal))
+
+
+def _both_ways(section: _Section, signal: list[float]) -> list[float]:
+    """Run forward and backward over the signal and its point reflections at both ends."""
+    pad = min(len(signal) - 1, 9)
+    before = [2 * signal[0] - x for x in signal[pad:0:-1]]
+    after = [2 * signal[-1] - x for x in signal[-2 : -pad - 2 : -1]]
+    extended = [*before, *signal, *after]
+    forward = section.run(extended, extended[0])[::-1]
+    return section.run(forward, forward[0])[::-1][pad : pad + len(signal)]
+
+
+# Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores use.
 
 Mask = npt.NDArray[np.bool_]
 
@@ -234,3 +318,76 @@ def episodes(contact: Contact) -> list[tuple[int, int]]:
         else:
             joined.append((start, stop))
     return joined
+
+
+# What a robot did that pressed the person too lightly, or too briefly, for any contact to count.
+
+
+def faint_press(contact: Contact) -> str | None:
+    """Return words that continue "The robot": which segment it pressed, how long and how hard, and what it takes to
+    count.
+
+    None where nothing was pressed, and where the contact is valid. The force is the largest norm of a physics step; a
+    contact begins where the normal force behind the low-pass filter of the contact definition reaches its ``on_n``.
+    """
+    felt = contact.force_norm > 0
+    if contact.valid or not felt.any():
+        return None
+    definition = contact.protocol.contact
+    pressed = any_column(felt, range(felt.shape[1]))
+    step, segment = np.unravel_index(int(contact.force_norm.argmax()), felt.shape)
+    name = contact.segments[int(segment)].replace("_", " ")
+    what = (
+        f"pressed the {name} for {_time(int(pressed.sum()) * contact.dt_s)} with "
+        f"{_force(float(contact.force_norm[step, segment]))}"
+    )
+    if contact.reported is None:
+        return f"{what}; contact counts from {definition.on_n:g} N"
+    held = int(any_column(contact.on, contact.touched).sum()) * contact.dt_s
+    return (
+        f"{what}, of which {_time(held)} count as contact (from {definition.on_n:g} N); a trial needs "
+        f"{_time(definition.valid_total_s)} of it"
+    )
+
+
+def _force(newton: float) -> str:
+    return f"at most {newton:.1f} N" if newton >= 0.05 else "less than 0.05 N"
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds >= 0.95 else f"{seconds:.2g} s"
+
+
+# The force that is compared with a gate's band of force: an average over a short time, so that a ripple does not end a
+# hold.
+
+HELD_S = 0.1
+"""[s] Length of that moment; assumed, five control periods. Single steps of a contact's chatter do not leave a band,
+and a mean never lies outside of what it is taken over, as a filter's ringing does. The safety gate judges every step.
+"""
+DIGITS = 6
+"""Forces are rounded to 1e-6 N, so that a constant force at the border of a band is inside it."""
+
+
+def held_force(contact: Contact) -> F64:
+    """(T,) norm of the force summed over the neighbourhood, averaged over HELD_S around each step [N].
+
+    Near the ends of the trial, the mean is over the part of HELD_S that lies in it.
+    """
+    half = round(HELD_S / contact.dt_s / 2)
+    force = contact.neighbourhood_force
+    step = np.arange(len(force))
+    start, stop = np.maximum(step - half, 0), np.minimum(step + half + 1, len(force))
+    total = np.concatenate([[0.0], np.cumsum(force)])
+    return np.round((total[stop] - total[start]) / (stop - start), DIGITS)
+
+
+def in_band(tool: F64, whole: F64, least_n: float, most_n: float) -> Mask:
+    """Whether at each step the tool's force is at least ``least_n`` and that of the whole robot at most ``most_n``."""
+    return (tool >= least_n) & (whole <= most_n)
+
+
+def held_in_band(contact: Contact, least_n: float, most_n: float) -> Mask:
+    """(T,) steps in which the tool touches the neighbourhood, its held force is at least ``least_n``, and that of the
+    whole robot at most ``most_n``."""
+    return contact.tool_on & in_band(held_force(contact.of_tool), held_force(contact), least_n, most_n)

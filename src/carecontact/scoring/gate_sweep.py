@@ -6,12 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from carecontact.contract.protocol import BEHAVIOURS, Protocol
 from carecontact.errors import ConfigError
-from carecontact.scoring.behaviour import Sweep, behaviour_of
+from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.protocol import Protocol
+from carecontact.scoring.behaviour import Measures, Sweep, behaviour_of
 from carecontact.scoring.contact import Contact, with_floor
-from carecontact.scoring.gate import Measures
-from carecontact.scoring.metrics.c3_success import judge, measure
+from carecontact.scoring.metrics.success import judge, measure
 from carecontact.scoring.verdict import Verdict, reach_verdict
 
 FLOOR = Sweep(name="floor_n", field="on_n", values=(0.25, 0.5, 1.0, 2.0), title="Contact floor", unit="N")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from carecontact.contract.protocol import sideless
+from carecontact.protocol.sections import sideless
 from carecontact.registry import Registry
 
 UNCHECKED = "*"

@@ -1,15 +1,73 @@
-"""How far the tool wiped and how far the arm was moved."""
+"""How far the tool and the person moved while in contact: strokes along a region, passes, and the wrist's way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.scoring.contact import Contact, Mask, episodes, runs
-from carecontact.scoring.filters import F64, low_pass
-from carecontact.scoring.region import points_in_region
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.scoring.contact import F64, Contact, Mask, episodes, held_force, in_band, low_pass, runs
+
+
+def points_in_region(points_in_world: F64, region_pose_in_world: F64) -> F64:
+    """(N, 3) points, (N, 7) region poses -> (N, 3) coordinates: x along the bone, z outward [m]."""
+    rotation = matrix_from_quat(region_pose_in_world[:, 3:])
+    offset = points_in_world - region_pose_in_world[:, :3]
+    return np.einsum("nij,ni->nj", rotation, offset)
+
+
+def distance_to_surface(points: F64, size: F64) -> F64:
+    """(N, 3) points in the region's frame -> (N,) signed distance from its surface [m], negative inside.
+
+    ``size`` (3,) is length, half width (y) and outward radius (z). The region is taken as a straight elliptic
+    cylinder about the x axis with the frame's origin at its middle. Distance is measured along the ray from the
+    axis, exact for a round limb.
+    """
+    length, half_width, outward = (float(s) for s in size)
+    along, across = np.abs(points[:, 0]) - length / 2, points[:, 1:]
+    from_axis = np.linalg.norm(across, axis=1)
+    relative = np.hypot(across[:, 0] / half_width, across[:, 1] / outward)
+    # On the axis itself the ray has no direction; the nearest surface is the smaller radius away.
+    on_axis = relative < 1e-9
+    scale = np.where(on_axis, 1.0, relative)
+    radial = np.where(on_axis, -min(half_width, outward), from_axis * (1.0 - 1.0 / scale))
+    return np.where(along > 0, np.hypot(np.maximum(radial, 0.0), np.maximum(along, 0.0)), radial)
+
+
+def surface_normal(points: F64, size: F64) -> F64:
+    """(N, 3) points in the region's frame -> (N, 3) outward unit normal of the cylinder's side through each.
+
+    A point on the axis itself gets the z axis.
+    """
+    _, half_width, outward = (float(s) for s in size)
+    gradient = np.stack([np.zeros(len(points)), points[:, 1] / half_width**2, points[:, 2] / outward**2], axis=1)
+    length = np.linalg.norm(gradient, axis=1, keepdims=True)
+    on_axis = length < 1e-9
+    return np.where(on_axis, [0.0, 0.0, 1.0], gradient / np.where(on_axis, 1.0, length))
+
+
+def distance_to_shadow(points_in_world: F64, region_pose_in_world: F64, size: F64) -> F64:
+    """(N, 3) points, (N, 7) region poses -> (N,) horizontal distance from the region's shadow on the floor [m], 0 over
+    it or under it.
+
+    The shadow is taken as a rectangle: as long as the axis looks from above, as wide as the region.
+    """
+    rotation = matrix_from_quat(region_pose_in_world[:, 3:])
+    axis = rotation[:, :2, 0]
+    length = np.linalg.norm(axis, axis=1)
+    # An upright axis has no direction from above; any will do for a shadow of length 0.
+    upright = length < 1e-9
+    direction = np.where(upright[:, None], [1.0, 0.0], axis / np.where(upright, 1.0, length)[:, None])
+    offset = (points_in_world - region_pose_in_world[:, :3])[:, :2]
+    along = np.abs(np.einsum("ni,ni->n", offset, direction)) - length * float(size[0]) / 2
+    across = np.abs(offset[:, 0] * direction[:, 1] - offset[:, 1] * direction[:, 0]) - float(size[1])
+    return np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+
+
+# How far the tool wiped and how far the arm was moved.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,3 +201,77 @@ def wrist_from_onset(contact: Contact) -> float:
         way = np.linalg.norm(wrist[start:stop] - wrist[start], axis=1)
         moved = max(moved, float(way[contact.tool_on[start:stop]].max(initial=0.0)))
     return moved
+
+
+# How often the tool passed each part of the region's axis, and with what force it slid.
+
+STEP_M = 0.001
+"""Length of the parts of the axis that are counted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wiping:
+    """The tool's way over the target region's surface with the force at each sample (50 Hz); N samples."""
+
+    track: Track
+    force: F64
+    """(N,) held force of the tool [N]"""
+    whole: F64
+    """(N,) held force of the whole robot [N]"""
+    length_m: float
+    """Length of the region's axis."""
+    reversal_m: float
+    """Opposite travel that begins another stroke."""
+    moving: Mask
+    """(N - 1,) in contact from one sample to the next and sliding faster than the least speed that counts as motion"""
+
+    def passes(self, least_n: float) -> npt.NDArray[np.intp]:
+        """(K,) how often each STEP_M of the axis was passed with at least this force.
+
+        A *stroke* is the path between two turns or lifts, and passes each place at most once: trembling on a place is
+        no wiping. Strokes count in either direction, also where the tool is lifted and comes back through the air, as
+        a nurse may wipe.
+        """
+        count = np.zeros(round(self.length_m / STEP_M), np.intp)
+        axis = self.track.surface[:, 0]
+        hard = self.force >= least_n
+        for start, stop in runs(self.track.joined).tolist():
+            ends = [0, *turning_points(axis[start : stop + 1], self.reversal_m), stop - start]
+            for first, last in pairwise(ends):
+                stroke = slice(start + first, start + last + 1)
+                count += self._covered(axis[stroke], hard[stroke], len(count))
+        return count
+
+    def _covered(self, axis: F64, hard: Mask, parts: int) -> Mask:
+        """(K,) which parts' middles one stroke goes over while it is pressed hard enough."""
+        found = np.zeros(parts, np.bool_)
+        for start, stop in runs(hard).tolist():
+            place = (axis[start:stop] + self.length_m / 2) / STEP_M - 0.5
+            low, high = int(np.ceil(place.min())), int(np.floor(place.max()))
+            found[max(low, 0) : max(high + 1, 0)] = True
+        return found
+
+    def passed_m(self, times: float, least_n: float) -> float:
+        """Length of the axis that was passed at least so often with at least this force [m]."""
+        return float((self.passes(least_n) >= times).sum()) * STEP_M
+
+    def share_in_band(self, least_n: float, most_n: float) -> float | None:
+        """Share of the time of sliding with at least ``least_n`` of the tool and at most ``most_n`` of the whole robot;
+        None where the tool never slid."""
+        tool, whole = self.force[1:][self.moving], self.whole[1:][self.moving]
+        return float(in_band(tool, whole, least_n, most_n).mean()) if len(tool) else None
+
+
+def wiping(contact: Contact) -> Wiping:
+    """Return how the tool slid over the whole trial, because what slid too hard counts in whichever contact it was."""
+    definition, track = contact.protocol.contact, surface_track(contact.of_tool)
+    speed = np.linalg.norm(np.diff(track.surface, axis=0), axis=1) / np.diff(contact.time_s[track.step])
+    region = contact.recording.header.regions.index(contact.task.region)
+    return Wiping(
+        track=track,
+        force=held_force(contact.of_tool)[track.step],
+        whole=held_force(contact)[track.step],
+        length_m=float(contact.recording["scorer/region_size_m"][region, 0]),
+        reversal_m=definition.reversal_m,
+        moving=track.joined & (speed >= definition.active_speed_m_s),
+    )

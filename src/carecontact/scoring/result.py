@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from carecontact.contract.protocol import protocol_title
+from carecontact.protocol.protocol import protocol_title
 
 Anatomy = Literal["process_failure", "target", "off_target", "none"]
 FailureMode = Literal[

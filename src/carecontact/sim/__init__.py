@@ -1,1 +1,1 @@
-"""A compiled scene in motion: stepping, sensors, impedance targets, rendering."""
+"""A compiled world in motion: steps, controllers, rendering, and the tissue bench."""

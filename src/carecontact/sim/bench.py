@@ -14,16 +14,15 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import EMBODIMENTS, Tip
-from carecontact.contract.protocol import Tissue
 from carecontact.errors import ConfigError, SceneError
-from carecontact.kernel.readings import Readings
-from carecontact.kernel.region import Law, set_law
-from carecontact.regions import REGIONS
-from carecontact.world.human.body import Array, Body
-from carecontact.world.human.shell import Shell
-from carecontact.world.human.skeleton import body_name
-from carecontact.world.human.tissue import add_tissue
+from carecontact.human.body import Array, Body
+from carecontact.human.shell import Shell
+from carecontact.human.skeleton import body_name
+from carecontact.human.soft_region import add_tissue
+from carecontact.interface.regions import REGIONS
+from carecontact.interface.robot import EMBODIMENTS, Tip
+from carecontact.protocol.person import Tissue
+from carecontact.tissue.plugin import Law, Readings, set_law
 from carecontact.world.scene import region_shell, set_physics
 
 Shape = Literal["flat", "hemisphere", "cap"]
@@ -41,7 +40,7 @@ class Indenter:
     """An indenter, pressed along its axis: rigid, but for a ``cap``, the robot's tool, which lies across the region.
 
     Args:
-        size_m: radius of the flat disc, whose rim ``kernel/c/tool.c`` rounds with 2 mm, or of the hemisphere; None for
+        size_m: radius of the flat disc, whose rim ``tissue/c/tool.c`` rounds with 2 mm, or of the hemisphere; None for
             the cap, whose size is the tool's.
     """
 

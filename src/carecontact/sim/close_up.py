@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.geometry import quat_from_matrix
-from carecontact.kernel.readings import Readings
-from carecontact.regions import REGIONS
+from carecontact.interface.geometry import quat_from_matrix
+from carecontact.interface.regions import REGIONS
 from carecontact.sim.rendering import SceneRenderer
+from carecontact.tissue.plugin import Readings
 from carecontact.world.scene import Scene
 
 REACH_M = 0.016

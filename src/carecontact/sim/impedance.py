@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import Robot
-from carecontact.contract.geometry import matrix_from_quat, quat_from_matrix
-from carecontact.contract.protocol import Physics, Protocol
+from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
+from carecontact.interface.robot import Robot
+from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.sections import Physics
 from carecontact.world.robot import damping_of
 
 Array = npt.NDArray[np.float64]

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from carecontact.errors import DependencyError
-from carecontact.exhausted import is_exhausted
+from carecontact.system import is_exhausted
 
 LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}
 """Backend -> the libraries that it needs."""

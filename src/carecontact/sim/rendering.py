@@ -11,12 +11,13 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.protocol import Camera, Protocol
 from carecontact.errors import SceneError
+from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.sections import Camera
 from carecontact.sim.opengl import cannot_render, drawn_by, make_context
-from carecontact.sim.proprioception import Proprioception
-from carecontact.world.furniture import FURNITURE_GROUP
+from carecontact.sim.state import Proprioception
 from carecontact.world.robot import VISUAL_GROUP
+from carecontact.world.room import FURNITURE_GROUP
 
 Bool = npt.NDArray[np.bool_]
 F32 = npt.NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""A compiled scene that runs: settle the person, move the impedance target, step, keep every sensor sample."""
+"""A compiled world in motion: steps, state and sensors, whose values of every physics step are read in one gather."""
 
 from __future__ import annotations
 
@@ -9,25 +9,69 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.protocol import Protocol
 from carecontact.errors import SceneError, SettleError
-from carecontact.kernel.life import Life
-from carecontact.kernel.readings import Readings, Rings
+from carecontact.human.hulls import PLATES
+from carecontact.human.joints import Hinge
+from carecontact.human.pose import lying_pose_deg, rest_deg
+from carecontact.human.skeleton import body_name, cubic_nm_rad3, end_stop_nm, past_range
+from carecontact.interface.regions import REGIONS
+from carecontact.protocol.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
-from carecontact.regions import REGIONS
-from carecontact.sim.cartesian_control import CartesianControl
-from carecontact.sim.history import SensorHistory
-from carecontact.sim.joint_control import JointControl
-from carecontact.sim.proprioception import Proprioception
-from carecontact.world.human.end_stops import cubic_nm_rad3, end_stop_nm, past_range
-from carecontact.world.human.joints import Hinge
-from carecontact.world.human.plates import PLATES
-from carecontact.world.human.pose import lying_pose_deg, rest_deg
-from carecontact.world.human.skeleton import body_name
-from carecontact.world.scene import Scene
-from carecontact.world.sensors import HAND_SENSOR, TIP_SENSOR, plate_sensor
+from carecontact.sim.controllers import CartesianControl, JointControl
+from carecontact.sim.state import Proprioception
+from carecontact.tissue.life import Life
+from carecontact.tissue.plugin import Readings, Rings
+from carecontact.world.scene import HAND_SENSOR, TIP_SENSOR, Scene, plate_sensor
+
+# Reads every sensor's value at every physics step from ``MjData.history`` in one gather.
 
 F64 = npt.NDArray[np.float64]
+
+
+class SensorHistory:
+    """Samples of a control period.
+
+    MuJoCo 4.0 lays a sensor's ring buffer out as: time of the last reading, index of the newest slot, ``n`` times,
+    ``n`` values of the sensor's dimension.
+    """
+
+    HEADER = 2
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        counts = set(model.sensor_history[:, 0].tolist())
+        if len(counts) != 1 or counts == {0}:
+            raise SceneError(f"every scorer sensor must keep the same history, got sample counts {sorted(counts)}")
+        self.samples = int(counts.pop())
+        address, dim = model.sensor_historyadr, model.sensor_dim
+        start = address + self.HEADER + self.samples
+        # (samples, nsensordata): slot s of sensor i, component c lies at start_i + s * dim_i + c.
+        columns = [start[i] + np.arange(dim[i]) for i in range(model.nsensor)]
+        self._index = np.concatenate(columns)[None] + np.arange(self.samples)[:, None] * np.repeat(dim, dim)[None]
+        self._cursor = int(address[0]) + 1
+        self._times = int(address[0]) + self.HEADER
+        self._columns = {
+            model.sensor(i).name: slice(int(a), int(a + d))
+            for i, (a, d) in enumerate(zip(model.sensor_adr, dim, strict=True))
+        }
+
+    def columns(self, sensor: str) -> slice:
+        """Where a sensor's components are in a row of ``last``."""
+        return self._columns[sensor]
+
+    def last(self, data: mujoco.MjData, count: int) -> tuple[F64, F64]:
+        """Times (count,) and values (count, nsensordata) of the last ``count`` steps, oldest first.
+
+        A sample is taken with the forces of its step and stamped with the time at the step's start.
+        """
+        if not 0 < count <= self.samples:
+            raise SceneError(f"count {count}: expected 1 to {self.samples}, the samples that the history keeps")
+        history = data.history
+        order = (int(history[self._cursor]) - np.arange(count - 1, -1, -1)) % self.samples
+        return history.take(self._times + order), history.take(self._index.take(order, 0))
+
+
+# A compiled scene that runs: settle the person, move the impedance target, step, keep every sensor sample.
+
 SOLVER_WARNINGS = (
     mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
     mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL, mujoco.mjtWarning.mjWARN_INERTIA,

@@ -1,30 +1,48 @@
-"""Statistics over trial scores: intervals, tests, rankings and what a comparison could have detected."""
+"""Statistics over the scores of trials, in which persons are the unit."""
 
-from carecontact.stats.bootstrap import BootstrapDifference, clustered_bootstrap
-from carecontact.stats.contrasts import FisherExact, MannWhitney, fisher_exact, mann_whitney
-from carecontact.stats.differences import (
-    RateDifference,
-    difference_of_rates,
-    paired_difference,
-    unpaired_difference,
+from carecontact.stats.persons import (
+    BootstrapDifference,
+    PersonDifference,
+    PersonRate,
+    WorstShare,
+    clustered_bootstrap,
+    person_difference,
+    person_rate,
+    stratified_weights,
+    worst_share,
 )
-from carecontact.stats.family import Holm, holm
-from carecontact.stats.mcnemar import McNemar, mcnemar_exact
-from carecontact.stats.persons import PersonDifference, PersonRate, person_difference, person_rate
-from carecontact.stats.power import (
+from carecontact.stats.proportions import (
     DetectableDifference,
+    McNemar,
+    Proportion,
+    RateDifference,
     detectable_from_standard_error,
+    difference_of_rates,
+    mcnemar_exact,
     paired_detectable_difference,
+    paired_difference,
     unpaired_detectable_difference,
+    unpaired_difference,
+    wilson_interval,
 )
-from carecontact.stats.proportions import Proportion, wilson_interval
-from carecontact.stats.ranking import KendallTau, RankingSweep, kendall_tau, ranking_sweep
-from carecontact.stats.sign_flip import SignFlip, sign_flip
-from carecontact.stats.strata import stratified_weights
-from carecontact.stats.summary import Median, median
-from carecontact.stats.wilcoxon import SignedRank, signed_rank
-from carecontact.stats.worst_rank import WorstRank, worst_rank_paired, worst_rank_unpaired
-from carecontact.stats.worst_share import WorstShare, worst_share
+from carecontact.stats.ranks import (
+    FisherExact,
+    KendallTau,
+    MannWhitney,
+    RankingSweep,
+    SignedRank,
+    SignFlip,
+    WorstRank,
+    fisher_exact,
+    kendall_tau,
+    mann_whitney,
+    ranking_sweep,
+    sign_flip,
+    signed_rank,
+    worst_rank_paired,
+    worst_rank_unpaired,
+)
+from carecontact.stats.values import Holm, Median, holm, median
 
 __all__ = [
     "BootstrapDifference",

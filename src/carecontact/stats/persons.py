@@ -1,18 +1,80 @@
-"""Rates over persons: trials of one person belong together, and bodies are fixed strata."""
+"""Intervals and tests that draw whole persons, not trials: exact sign flips, bootstrap, the worst share of persons."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.stats.differences import unpaired_difference
-from carecontact.stats.proportions import wilson_interval
-from carecontact.stats.sign_flip import SignFlip, sign_flip
-from carecontact.stats.strata import GENERATOR_SEED, RESAMPLES, Floats, strata_of, stratified_weights
-from carecontact.stats.values import check_level
+from carecontact.errors import counted
+from carecontact.stats.proportions import unpaired_difference, wilson_interval
+from carecontact.stats.ranks import SignFlip, sign_flip
+from carecontact.stats.values import check_level, complete_pairs
+
+# Resamples of persons, where each stratum keeps its share of them.
+
+GENERATOR_SEED = 20260
+RESAMPLES = 10_000
+Floats = npt.NDArray[np.float64]
+
+
+def stratified_weights(
+    strata: Sequence[Hashable], *, resamples: int = RESAMPLES, generator_seed: int = GENERATOR_SEED
+) -> Floats:
+    """(R, K) how much each of K persons counts in each resample; each row adds up to K.
+
+    Of a stratum's n persons, n - 1 are drawn with replacement and count n / (n - 1) each: the bootstrap of Rao and Wu,
+    JASA 83:231 (1988), whose variance is unbiased also for strata of two or three. Drawing n of n would give two
+    thirds of the variance for three. Strata with a single person are taken together, which makes the interval rather
+    too wide (collapsed strata: Cochran, Sampling Techniques, 1977, 5A.12); a last one alone joins the largest stratum.
+
+    Args:
+        strata: (K,) of each person, such as the body.
+
+    Raises ValueError for fewer than two persons or resamples < 1.
+    """
+    if len(strata) < 2:
+        raise ValueError(f"{counted(len(strata), 'person')}; expected at least 2")
+    if resamples < 1:
+        raise ValueError(f"resamples = {resamples}; expected at least 1")
+    generator = np.random.default_rng(generator_seed)
+    weights = np.zeros((resamples, len(strata)))
+    for members in _groups(strata):
+        n = len(members)
+        drawn = generator.multinomial(n - 1, np.full(n, 1.0 / n), size=resamples)
+        weights[:, members] = drawn * (n / (n - 1))
+    return weights
+
+
+def strata_of(names: Sequence[int], strata: Mapping[int, Hashable] | None) -> list[Hashable]:
+    """Return the stratum of each person; without strata all are in one. Raises ValueError for a person that has
+    none."""
+    if strata is None:
+        return [0] * len(names)
+    missing = [name for name in names if name not in strata]
+    if missing:
+        raise ValueError(f"person {missing[0]} has no stratum; expected one for each")
+    return [strata[name] for name in names]
+
+
+def _groups(strata: Sequence[Hashable]) -> list[list[int]]:
+    """Indices of the persons of each stratum, two or more in each."""
+    size = Counter(strata)
+    alone = [i for i, stratum in enumerate(strata) if size[stratum] == 1]
+    groups = [[i for i, s in enumerate(strata) if s == stratum] for stratum, n in size.items() if n > 1]
+    if len(alone) == 1:
+        largest = max(range(len(groups)), key=lambda g: len(groups[g]))
+        groups[largest] = sorted(groups[largest] + alone)
+    elif alone:
+        groups.append(alone)
+    return groups
+
+
+# Rates over persons: trials of one person belong together, and bodies are fixed strata.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,3 +195,242 @@ def _persons(values: Sequence[bool], persons: Sequence[int]) -> tuple[list[int],
 def _between(found: Floats, estimate: float, confidence: float) -> tuple[float, float]:
     low, high = np.quantile(found, [0.5 - confidence / 2, 0.5 + confidence / 2])
     return min(float(low), estimate), max(float(high), estimate)
+
+
+# Intervals of a paired difference from resampled seeds: all trials of one seed are drawn together.
+
+Statistic = Literal["median_difference", "difference_of_medians", "difference_of_means"]
+AT_ONCE = 2_000_000
+"""Cells of the weight table that are held in memory at a time."""
+
+ROUNDING = 1e-6
+"""Largest error of sums of weights, whose steps are larger than 1."""
+Counts = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BootstrapDifference:
+    """First minus second, in the unit of the values. One cluster has no spread: no interval, no standard error."""
+
+    statistic: Statistic
+    estimate: float | None
+    """None where no pair is complete."""
+    low: float | None
+    high: float | None
+    standard_error: float | None
+    """Standard deviation over the resamples."""
+    n: int
+    """Pairs in which both methods have a value; all others are left out."""
+    n_clusters: int
+    """Clusters with such a pair."""
+    confidence: float
+    resamples: int
+    generator_seed: int
+
+
+def clustered_bootstrap(
+    first: Sequence[float | None],
+    second: Sequence[float | None],
+    *,
+    clusters: Sequence[int],
+    strata: Mapping[int, Hashable] | None = None,
+    statistic: Statistic = "median_difference",
+    confidence: float = 0.95,
+    resamples: int = RESAMPLES,
+    generator_seed: int = GENERATOR_SEED,
+) -> BootstrapDifference:
+    """Percentile interval of a paired difference when whole clusters are drawn with replacement.
+
+    Efron & Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; clusters as in Davison & Hinkley, Bootstrap
+    Methods (1997), 3.8. Percentile and not BCa, because the jackknife that BCa needs is inconsistent for medians. With
+    few clusters (below about 10) such intervals are too narrow. Where the quantiles of a small sample leave the
+    estimate out, the interval is stretched to it. Pass 0 and 1 and ``difference_of_means`` for rates.
+
+    Args:
+        first: (N,) values of the first method, None where NA.
+        second: (N,) of the second, pair by pair.
+        clusters: (N,) the seed of each pair.
+        strata: cluster -> stratum, to draw as ``stratified_weights`` does; None: as many clusters as there are.
+        statistic: ``median_difference`` is the median of the pairs' differences, the others compare the two samples.
+
+    Raises ValueError for lengths that differ, NaN, infinity, a cluster without a stratum, resamples < 1 or unless 0 <
+    confidence < 1.
+    """
+    if len(clusters) != len(first):
+        raise ValueError(f"{len(clusters)} clusters for {len(first)} pairs; expected one for each")
+    if resamples < 1:
+        raise ValueError(f"resamples = {resamples}; expected at least 1")
+    check_level("confidence", confidence)
+    a_kept, b_kept, kept = complete_pairs(first, second)
+    a, b = np.array(a_kept, np.float64), np.array(b_kept, np.float64)
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError("a value is infinite; expected finite values")
+    of_pair: Counts
+    names, of_pair = np.unique(np.array([clusters[i] for i in kept], np.int64), return_inverse=True)
+    n_clusters = len(names)
+    estimate = low = high = spread = None
+    if len(a):
+        estimate = float(_statistic(a, b, of_pair, np.ones((1, n_clusters), np.int64), statistic)[0])
+    if estimate is not None and n_clusters > 1:
+        drawn = (
+            _draw(n_clusters, resamples, generator_seed)
+            if strata is None
+            else stratified_weights(
+                strata_of(names.tolist(), strata), resamples=resamples, generator_seed=generator_seed
+            )
+        )
+        found = _statistics(a, b, of_pair, drawn, statistic)
+        quantiles = np.quantile(found, [0.5 - confidence / 2, 0.5 + confidence / 2])
+        low, high = min(float(quantiles[0]), estimate), max(float(quantiles[1]), estimate)
+        spread = float(found.std())
+    return BootstrapDifference(
+        statistic=statistic,
+        estimate=estimate,
+        low=low,
+        high=high,
+        standard_error=spread,
+        n=len(a),
+        n_clusters=n_clusters,
+        confidence=confidence,
+        resamples=resamples,
+        generator_seed=generator_seed,
+    )
+
+
+def _draw(n_clusters: int, resamples: int, generator_seed: int) -> Counts:
+    """(R, K) how often each cluster is in each resample."""
+    generator = np.random.default_rng(generator_seed)
+    return generator.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), size=resamples)
+
+
+def _statistics(a: Floats, b: Floats, of_pair: Counts, drawn: Counts | Floats, statistic: Statistic) -> Floats:
+    """(R,) the statistic of every resample, computed for as many at a time as AT_ONCE allows."""
+    step = max(1, AT_ONCE // len(a))
+    return np.concatenate(
+        [_statistic(a, b, of_pair, drawn[i : i + step], statistic) for i in range(0, len(drawn), step)]
+    )
+
+
+def _statistic(a: Floats, b: Floats, of_pair: Counts, times: Counts | Floats, statistic: Statistic) -> Floats:
+    """(R,) the statistic of R resamples, in which cluster k is ``times[:, k]`` times."""
+    match statistic:
+        case "median_difference":
+            return _medians(a - b, of_pair, times)
+        case "difference_of_medians":
+            return _medians(a, of_pair, times) - _medians(b, of_pair, times)
+        case "difference_of_means":
+            size = np.bincount(of_pair, minlength=times.shape[1])
+            total = np.bincount(of_pair, weights=a - b, minlength=times.shape[1])
+            return (times @ total) / (times @ size)
+
+
+def _medians(values: Floats, of_pair: Counts, times: Counts | Floats) -> Floats:
+    """(R,) medians of R resamples, found in the cumulated counts instead of in copies of the drawn values."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    reached = np.cumsum(times[:, of_pair[order]], axis=1)
+    half = reached[:, -1:] / 2
+    lower = ordered[np.argmax(reached > half - ROUNDING, axis=1)]
+    upper = ordered[np.argmax(reached > half + ROUNDING, axis=1)]
+    return (lower + upper) / 2
+
+
+# How the least served persons fare: the mean rate of the lowest share of them.
+
+DECILE = 0.1
+PERMUTATIONS = 2_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorstShare:
+    """Mean rate of the persons with the lowest rates. One person has no spread: no interval, no chance."""
+
+    estimate: float | None
+    """The estimate; None without a trial."""
+    low: float | None
+    high: float | None
+    by_chance: float | None
+    """What to expect if every person were alike: the mean over permutations of each task's outcomes among persons."""
+    pvalue: float | None
+    """One-sided: share of those permutations whose worst persons fare no better than the found ones."""
+    share: float
+    persons: int
+
+
+def worst_share(
+    passed: Sequence[bool],
+    *,
+    persons: Sequence[int],
+    tasks: Sequence[Hashable],
+    strata: Mapping[int, Hashable] | None = None,
+    share: float = DECILE,
+    confidence: float = 0.95,
+    resamples: int = RESAMPLES,
+    permutations: int = PERMUTATIONS,
+    generator_seed: int = GENERATOR_SEED,
+) -> WorstShare:
+    """Mean of the persons' rates over the lowest ``share`` of them.
+
+    Of 27 persons a tenth is 2.7: the two lowest, and the third with a weight of 0.7. Of fewer than ten, it is the
+    lowest one alone. The lowest of noisy rates are partly bad luck, and the more so the fewer trials a person has:
+    ``by_chance`` says how low they would be without any difference between persons. The interval is from
+    ``stratified_weights``; there is none where all persons have the same rate.
+
+    Args:
+        passed: (N,) of each trial.
+        persons: (N,) the seed of each trial.
+        tasks: (N,) the task of each trial.
+
+    Raises ValueError for lengths that differ or a share or confidence outside (0, 1).
+    """
+    check_level("share", share)
+    check_level("confidence", confidence)
+    if not len(passed) == len(persons) == len(tasks):
+        raise ValueError(f"{len(passed)} trials, {len(persons)} persons, {len(tasks)} tasks; expected as many of each")
+    names, of_trial = np.unique(np.asarray(persons, np.int64), return_inverse=True)
+    people, values = len(names), np.asarray(passed, np.float64)
+    if not people:
+        return WorstShare(estimate=None, low=None, high=None, by_chance=None, pvalue=None, share=share, persons=0)
+    of = np.bincount(of_trial, minlength=people)
+    rates = np.bincount(of_trial, values, people) / of
+    estimate = float(_lowest(rates[None], np.ones((1, people)), share)[0])
+    low = high = by_chance = pvalue = None
+    if people > 1 and np.ptp(rates) > 0:
+        groups = [0] * people if strata is None else [strata[name] for name in names.tolist()]
+        weights = stratified_weights(groups, resamples=resamples, generator_seed=generator_seed)
+        found = np.quantile(_lowest(rates[None], weights, share), [0.5 - confidence / 2, 0.5 + confidence / 2])
+        low, high = min(float(found[0]), estimate), max(float(found[1]), estimate)
+    if people > 1:
+        drawn = _permuted(values, of_trial, tasks, people, permutations, generator_seed) / of
+        alike = _lowest(drawn, np.ones((1, people)), share)
+        by_chance, pvalue = float(alike.mean()), float((1 + (alike <= estimate + 1e-12).sum()) / (1 + permutations))
+    return WorstShare(
+        estimate=estimate, low=low, high=high, by_chance=by_chance, pvalue=pvalue, share=share, persons=people
+    )
+
+
+def _lowest(rates: Floats, weights: Floats, share: float) -> Floats:
+    """(R,) mean of the lowest share of the persons' weight; rates and weights (R or 1, K). The lowest person that is
+    there counts as one at least."""
+    rates, weights = np.broadcast_arrays(rates, weights)
+    order = np.argsort(rates, axis=1, kind="stable")
+    ordered, here = (np.take_along_axis(values, order, axis=1) for values in (rates, weights))
+    target = np.maximum(share * here.sum(axis=1, keepdims=True), 1.0)
+    before = np.cumsum(here, axis=1) - here
+    taken = np.clip(target - before, 0.0, here)
+    return (taken * ordered).sum(axis=1) / taken.sum(axis=1)
+
+
+def _permuted(
+    values: Floats, of_trial: npt.NDArray[np.intp], tasks: Sequence[Hashable], people: int, times: int, seed: int
+) -> Floats:
+    """(R, K) passed trials of each person after each task's outcomes were dealt anew among its trials."""
+    generator = np.random.default_rng(seed)
+    total = np.zeros((times, people))
+    of_task: dict[Hashable, list[int]] = {}
+    for trial, task in enumerate(tasks):
+        of_task.setdefault(task, []).append(trial)
+    for trials in of_task.values():
+        dealt = generator.permuted(np.tile(values[trials], (times, 1)), axis=1)
+        np.add.at(total.T, of_trial[trials], dealt.T)
+    return total

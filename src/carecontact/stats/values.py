@@ -1,9 +1,13 @@
-"""Checks on the samples of every statistic: they hold numbers, or None where a score does not exist."""
+"""Values of trials for statistics: which count, how they are summarised, and how a family of tests is corrected."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from operator import index
+
+# Checks on the samples of every statistic: they hold numbers, or None where a score does not exist.
 
 
 def check_counts(k: int, n: int) -> tuple[int, int]:
@@ -54,3 +58,52 @@ def check_level(name: str, value: float) -> None:
     """Raises ValueError unless 0 < value < 1."""
     if not 0 < value < 1:
         raise ValueError(f"{name} = {value}; expected between 0 and 1")
+
+
+# Summaries that say how many values they are over.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Median:
+    estimate: float | None
+    """The estimate; None when no value is valid."""
+    n_valid: int
+    n: int
+
+
+def median(values: Iterable[float | None]) -> Median:
+    """Median of the values that are not NA (None). Raises ValueError on NaN, which is a fault and never NA."""
+    everything = list(values)
+    valid = [v for v in everything if v is not None]
+    if any(v != v for v in valid):
+        raise ValueError("a value is NaN; pass None for NA")
+    return Median(estimate=statistics.median(valid) if valid else None, n_valid=len(valid), n=len(everything))
+
+
+# Adjusts the p-values of a family of tests, so that the whole family errs no more often than one test.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Holm:
+    adjusted: tuple[float | None, ...]
+    """Adjusted p-values in the order given; None where there was no test."""
+    n: int
+    """Size of the family: how many tests were made."""
+
+
+def holm(pvalues: Sequence[float | None]) -> Holm:
+    """Step-down adjustment of Holm, Scandinavian Journal of Statistics 6:65 (1979).
+
+    None stands for a test that could not be made; it does not count in the family. Raises ValueError for a value
+    outside [0, 1].
+    """
+    for p in pvalues:
+        if p is not None and not 0 <= p <= 1:
+            raise ValueError(f"p = {p}; expected 0 <= p <= 1")
+    made = sorted((p, i) for i, p in enumerate(pvalues) if p is not None)
+    adjusted: list[float | None] = [None] * len(pvalues)
+    largest = 0.0
+    for rank, (p, i) in enumerate(made):
+        largest = max(largest, min(1.0, (len(made) - rank) * p))
+        adjusted[i] = largest
+    return Holm(adjusted=tuple(adjusted), n=len(made))

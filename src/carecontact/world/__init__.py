@@ -1,1 +1,2 @@
-"""Builders of the compiled model: person, tissue, furniture, robot, cameras, sensors."""
+"""Builders of the compiled model around the person: robot, furniture, cameras, sensors, and what is drawn anew for each
+seed."""

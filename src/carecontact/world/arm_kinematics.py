@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.contract.embodiment import Baked, Robot
-from carecontact.contract.geometry import pose_matrix
 from carecontact.errors import SceneError
+from carecontact.interface.geometry import pose_matrix
+from carecontact.interface.robot import Baked, Robot
 from carecontact.world.robot import JOINT_ARMATURE, arrays_of
 
 Array = npt.NDArray[np.float64]

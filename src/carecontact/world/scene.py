@@ -1,4 +1,4 @@
-"""The whole world as one MjSpec, and the named handles into it."""
+"""The whole world as one MjSpec with its cameras and sensors, and the named handles into it."""
 
 from __future__ import annotations
 
@@ -9,33 +9,125 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from carecontact.contract.control import CARTESIAN_IMPEDANCE, CONTROLS, Control
-from carecontact.contract.embodiment import Robot
-from carecontact.contract.protocol import Alive, Protocol, Tissue
 from carecontact.errors import SceneError
-from carecontact.kernel.life import add_life
-from carecontact.regions import REGIONS, Belly, Tube
-from carecontact.world.cameras import add_cameras
-from carecontact.world.furniture import add_furniture, add_light
-from carecontact.world.human.body import Array, Body
-from carecontact.world.human.breathing import add_servos, add_slide, carrier, move_skin
-from carecontact.world.human.build import tissue_of
-from carecontact.world.human.clearance import free_middle
-from carecontact.world.human.joints import Hinge
-from carecontact.world.human.library import load_body
-from carecontact.world.human.muscles import add_muscles
-from carecontact.world.human.plates import plate_body, plate_under
-from carecontact.world.human.pose import NOT_TURNED, ArmTurn, root_position, trunk_rotation
-from carecontact.world.human.refine import refined
-from carecontact.world.human.region_frame import RegionFrame, rigid_frame, soft_frame, upward_in_bind
-from carecontact.world.human.shell import Shell, kept_shell, limb_shell, trunk_shell
-from carecontact.world.human.skeleton import add_skeleton, body_name
-from carecontact.world.human.skin import add_skin
-from carecontact.world.human.tissue import SoftRegion, add_tissue
-from carecontact.world.joint_impedance import replace_impedance
-from carecontact.world.place import UNMOVED, Place
-from carecontact.world.robot import add_robot
-from carecontact.world.sensors import add_sensors
+from carecontact.human.body import Array, Body
+from carecontact.human.breathing import add_muscles, add_servos, add_slide, carrier, move_skin
+from carecontact.human.hulls import PLATES, plate_body, plate_under
+from carecontact.human.joints import Hinge
+from carecontact.human.library import load_body
+from carecontact.human.mesh import refined
+from carecontact.human.pose import NOT_TURNED, ArmTurn, free_middle, root_position, trunk_rotation
+from carecontact.human.shell import Shell, cached_shell, limb_shell, trunk_shell
+from carecontact.human.skeleton import RegionFrame, add_skeleton, body_name, rigid_frame, soft_frame, upward_in_bind
+from carecontact.human.skin import add_skin
+from carecontact.human.soft_region import SoftRegion, add_tissue, tissue_of
+from carecontact.interface.regions import REGIONS, Belly, Tube
+from carecontact.interface.robot import CARTESIAN_IMPEDANCE, CONTROLS, Control, Robot
+from carecontact.protocol.person import Alive, Tissue
+from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.sections import Camera
+from carecontact.recording.schema import SEGMENTS
+from carecontact.tissue.life import add_life
+from carecontact.world.randomization import UNMOVED, Place
+from carecontact.world.robot import add_robot, replace_impedance
+from carecontact.world.room import add_furniture, add_light
+
+# Adds the protocol's cameras to the world.
+
+
+def look_at(camera: Camera) -> np.ndarray:
+    """Return the orientation (4,) wxyz of a MuJoCo camera (x right, y up, looking along -z)."""
+    position, target = np.array(camera.position_m), np.array(camera.look_at_m)
+    z = position - target
+    z /= np.linalg.norm(z)
+    x = np.cross(np.array(camera.up), z)
+    x /= np.linalg.norm(x)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.stack([x, np.cross(z, x), z], 1).ravel())
+    return quat
+
+
+def add_cameras(spec: mujoco.MjSpec, protocol: Protocol) -> None:
+    for name, camera in protocol.cameras.items():
+        parent = spec.worldbody if camera.mount == "world" else spec.body(protocol.scene.robot.flange_body)
+        parent.add_camera(name=name, pos=camera.position_m, quat=look_at(camera), fovy=camera.fovy_deg,
+                          resolution=[camera.width, camera.height])  # fmt: skip
+
+
+# Sensors for the scorer alone. Each keeps every physics step of a control period in its history, so that no peak is
+# lost.
+
+CONTACT_SLOTS = 12
+"""Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
+more at once."""
+
+# Bits of mjtConDataField in MuJoCo 4.0, in the order of their values in a slot.
+FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
+NETFORCE, MAXFORCE = 3, 2
+
+TIP_SENSOR, HAND_SENSOR = "normal_by_tip", "normal_by_hand"
+"""Contact of the robot's tip, and of its whole hand with the tip, with any rigid surface of the person. They say which
+part of the robot the sensors of segments felt; one more sensor for each part and segment would make a step a tenth
+slower."""
+
+
+def plate_sensor(plate: str) -> str:
+    """Return the part of the names of a plate's sensors that follows ``net_`` and ``normal_``."""
+    return f"plate_{plate}"
+
+
+def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) -> None:
+    """Add sensors for every segment, every scored joint and every region of the protocol.
+
+    The sensors of segments measure contact with their rigid surfaces; the compiled tissue measures that with soft
+    shells.
+    """
+    # One control period is one call into C between two moves of the target, and the sensors keep all of its steps.
+    samples = round(protocol.physics.target_period_s / protocol.physics.dt_s)
+    kind, obj = mujoco.mjtSensor, mujoco.mjtObj
+
+    def contact(
+        name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str], data: int, reduce: int, num: int
+    ) -> None:
+        spec.add_sensor(
+            name=name, type=kind.mjSENS_CONTACT, objtype=first[0], objname=first[1], reftype=second[0],
+            refname=second[1], intprm=[data, reduce, num], nsample=samples,
+        )  # fmt: skip
+
+    def normal(name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str]) -> None:
+        contact(name, first, second, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
+
+    names = protocol.scene.robot
+    robot, person = (obj.mjOBJ_XBODY, names.base_body), (obj.mjOBJ_XBODY, body_name("pelvis"))
+
+    def surface(name: str, body: str) -> None:
+        contact(f"net_{name}", robot, (obj.mjOBJ_BODY, body), FORCE_BIT | POS_BIT, NETFORCE, 1)
+        normal(f"normal_{name}", robot, (obj.mjOBJ_BODY, body))
+
+    for segment in SEGMENTS:
+        surface(segment, body_name(segment))
+    for plate in PLATES:
+        surface(plate_sensor(plate.name), plate_body(plate.name))
+    normal(TIP_SENSOR, (obj.mjOBJ_GEOM, names.tip.geom), person)
+    normal(HAND_SENSOR, (obj.mjOBJ_BODY, names.flange_body), person)
+    for hinge in hinges:
+        spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
+                        objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip
+
+    def frame(name: str, sensor: mujoco.mjtSensor, objtype: mujoco.mjtObj, objname: str) -> None:
+        spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname, nsample=samples)
+
+    frame("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, names.tcp_site)
+    frame("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, names.tcp_site)
+    frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, names.tcp_site)
+    frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, names.tcp_site)
+    frame("wrist_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, body_name("right_hand"))
+    for region in protocol.regions:
+        frame(f"region_{region}_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, f"region_{region}")
+        frame(f"region_{region}_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, f"region_{region}")
+
+
+# The whole world as one MjSpec, and the named handles into it.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +233,7 @@ def _add_person(
     robot = protocol.scene.robot
     for region in protocol.soft_regions:
         tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
-        shell = kept_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
+        shell = cached_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
         on = carrier(REGIONS[region].segment, breathes=breathes)
         under = plate_under(REGIONS[region].segment)
         floor = None if under is None else plate_body(under)

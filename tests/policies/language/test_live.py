@@ -13,9 +13,8 @@ import pytest
 
 from carecontact.errors import ConfigError, DependencyError, LanguageError
 from carecontact.policies.language import live
-from carecontact.policies.language.completion import CompletionRequest, Message
+from carecontact.policies.language.completion import REMOVED, CompletionRequest, Message
 from carecontact.policies.language.live import Live
-from carecontact.policies.language.untrusted import REMOVED
 from tests.policies.language.endpoint import (
     Answer,
     body,

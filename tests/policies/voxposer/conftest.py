@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carecontact.policies.language.completion import Completion, CompletionRequest, Message
-from carecontact.policies.language.transcript import MAX_TOKENS, Transcript
-from carecontact.policies.voxposer.grid import Grid
-from carecontact.policies.voxposer.prompts import VOXPOSER, PromptSet
+from carecontact.policies.language.completion import MAX_TOKENS, Completion, CompletionRequest, Message, Transcript
+from carecontact.policies.voxposer.maps import Grid
+from carecontact.policies.voxposer.programs import VOXPOSER, PromptSet
 from carecontact.policies.voxposer.sandbox import Sandbox
-from tests.policies.state_machine.conftest import observation, person, session  # noqa: F401
 
 
 @pytest.fixture

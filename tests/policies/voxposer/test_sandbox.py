@@ -8,8 +8,7 @@ from pydantic_monty import ClassInstance
 
 from carecontact.errors import LanguageError, ProgramError
 from carecontact.policies.voxposer import sandbox as module
-from carecontact.policies.voxposer.program_time import ProgramTime
-from carecontact.policies.voxposer.sandbox import Sandbox
+from carecontact.policies.voxposer.sandbox import ProgramTime, Sandbox
 
 
 @dataclass

@@ -1,13 +1,105 @@
-"""A request to a language model and its completion, with the hashes by which recorded ones are found."""
+"""Completions of a language model: what one is, replayed from a file, recorded, and read with distrust."""
 
 from __future__ import annotations
 
+import base64
+import fcntl
 import hashlib
+import html
 import json
 import re
-from typing import Annotated, Any, Literal, Protocol
+import stat
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, TypeVar
+from urllib.parse import quote, quote_plus
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, model_serializer
+
+from carecontact.errors import ConfigError, LanguageError
+
+# Code and JSON as language models send them: between fences of Markdown, or bare.
+
+_FENCE = re.compile(r"```[\w-]*[ \t\r]*\n(.*?)```", re.DOTALL)
+_FENCED_OBJECT = re.compile(r"```[\w-]*\s*(\{.*\})\s*```", re.DOTALL)
+
+
+def unfenced(text: str) -> str:
+    """Return what stands between fences, if anything does; otherwise the text as it is."""
+    blocks = _FENCE.findall(text)
+    return "\n".join(blocks) if blocks else text
+
+
+def json_of(text: str) -> str:
+    """Return the JSON object that stands between fences, if one does; otherwise the text as it is."""
+    found = _FENCED_OBJECT.search(text)
+    return found[1] if found else text
+
+
+# Makes what an endpoint says fit to be stored and printed: without the run's secrets, printable and short.
+
+SHORTEST_SECRET = 6
+"""Length [characters] from which a secret is looked for. A shorter one (``none``, ``test``) is a placeholder, and would
+be found in ordinary words."""
+SHORTEST_BASE64 = 8
+REMOVED = "[secret removed]"
+CUT = " [...]"
+
+
+class Cleaner:
+    """Removes secrets from what one endpoint says.
+
+    This helps against endpoints that repeat what they were sent. One that means to give a secret away can always spell
+    it in a way that is not known here.
+    """
+
+    def __init__(self, secrets: Iterable[str] = ()) -> None:
+        """``secrets``: values to remove; those of fewer than SHORTEST_SECRET characters stay."""
+        spelled = {s for secret in secrets if len(secret) >= SHORTEST_SECRET for s in _spellings(secret)}
+        longest_first = sorted(spelled, key=lambda s: (-len(s), s))
+        self._secrets = re.compile("|".join(map(re.escape, longest_first)), re.IGNORECASE) if spelled else None
+
+    def text(self, said: str) -> str:
+        """Return a text of any length with its line ends and tabs; other control characters become U+FFFD."""
+        said = self._without_secrets(said)
+        return "".join("\ufffd" if _is_control(c) else c for c in said)
+
+    def line(self, said: str, *, limit: int) -> str:
+        """Return what ``one_line`` does, without secrets."""
+        # Secrets are removed first, because the first half of a key that is cut in two would stay.
+        return one_line(self._without_secrets(said), limit=limit)
+
+    def _without_secrets(self, said: str) -> str:
+        return said if self._secrets is None else self._secrets.sub(REMOVED, said)
+
+
+def one_line(said: str, *, limit: int) -> str:
+    """Return one line of at most ``limit`` characters; what is not printable is escaped, and a cut is marked."""
+    said = " ".join(said.split())[: limit + 1]
+    said = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in said)
+    return said if len(said) <= limit else said[: limit - len(CUT)] + CUT
+
+
+def _is_control(c: str) -> bool:
+    return (c < " " and c not in "\n\r\t") or "\x7f" <= c <= "\x9f"
+
+
+def _spellings(secret: str) -> Iterator[str]:
+    """Yield a secret as it is, and as it looks in JSON, a Python literal, HTML, a URL, and base64 of a longer text."""
+    yield secret
+    yield from (json.dumps(secret)[1:-1], secret.replace("/", "\\/"), repr(secret)[1:-1], html.escape(secret))
+    yield from (quote(secret), quote(secret, safe=""), quote_plus(secret))
+    for before in range(3):
+        # Characters of base64 that depend on what stands beside the secret are left out.
+        content = b"\0" * before + secret.encode()
+        whole = len(content) * 4 // 3
+        for encode in (base64.b64encode, base64.urlsafe_b64encode):
+            fragment = encode(content)[:whole].decode()[(0, 2, 3)[before] :]
+            if len(fragment) >= SHORTEST_BASE64:
+                yield fragment
+
+
+# A request to a language model and its completion, with the hashes by which recorded ones are found.
 
 MAX_TEXT_CHARS = 16384
 """Longest answer; the token limit allows some 4,000 characters, and the wire to the harness 65,536 bytes a text."""
@@ -90,3 +182,199 @@ class CompletionSource(Protocol):
     def complete(self, request: CompletionRequest) -> Completion:
         """Return the completion of a request. Raises LanguageError if there is none."""
         ...
+
+
+# ``replay:<hash>:<model>``: completions from a file, found by their requests. Any other request is an error.
+
+AUTHORED = "authored"
+"""Model name of completions that a person wrote: results made with them show what the method does, and say so."""
+MAX_BYTES = 64 << 20
+
+
+class RecordedCompletion(BaseModel):
+    """One line of a replay file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: str
+    """SHA-256 of the request."""
+    request: CompletionRequest
+    completion: Completion
+
+
+class Replay:
+    """Answers requests from a file; it is deterministic and needs no network."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Read the file.
+
+        Raises ConfigError, with file and line, if the file is unreadable or not JSON lines, if a key does not belong to
+        its request, if one request has two answers, or if completions are for more than one model.
+        """
+        content = read_bytes(Path(path))
+        self._completions: dict[str, Completion] = {}
+        self.model = ""
+        for number, line in enumerate(content.decode(errors="replace").splitlines(), 1):
+            if line.strip():
+                self._add(line, place=f"{path}, line {number}")
+        if not self._completions:
+            raise ConfigError(f"replay file {path} contains no completion")
+        self.name = replay_name(content, model=self.model)
+
+    def complete(self, request: CompletionRequest) -> Completion:
+        """Return the recorded completion. Raises LanguageError if there is none; no similar one takes its place."""
+        found = self._completions.get(request.sha256)
+        if found is None:
+            last = request.messages[-1].content.strip()[-200:]
+            raise LanguageError(
+                f"{self.name} has no completion for request {request.sha256[:12]} (prompt {request.prompt_version}, "
+                f"ending {last!r}); it holds {len(self._completions)}"
+            )
+        return found
+
+    def _add(self, line: str, *, place: str) -> None:
+        try:
+            row = RecordedCompletion.model_validate_json(line)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = one_line(".".join(map(str, first["loc"])), limit=100) or "the line"
+            raise ConfigError(f"replay file {place}: {where}: {first['msg']}") from None
+        if row.key != row.request.sha256:
+            raise ConfigError(
+                f"replay file {place}: the key is {row.key[:12]}, but its request has {row.request.sha256[:12]}"
+            )
+        if self.model not in ("", row.request.model):
+            raise ConfigError(f"replay file {place}: model {row.request.model}, but lines before it have {self.model}")
+        if not MODEL_NAME.fullmatch(row.request.model):
+            raise ConfigError(
+                f"replay file {place}: request.model: expected {MODEL_NAME_WANTED}, got {row.request.model!r:.80}"
+            )
+        # A model that is asked twice may answer differently; which answer counts must not depend on the order of lines.
+        if self._completions.get(row.key, row.completion) != row.completion:
+            raise ConfigError(f"replay file {place}: an earlier line has another answer to the same request")
+        self.model = row.request.model
+        self._completions[row.key] = row.completion
+
+
+def replay_name(content: bytes, *, model: str) -> str:
+    """Return the name by which results call a replay file with this content."""
+    return f"replay:{hashlib.sha256(content).hexdigest()[:12]}:{model}"
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file. Raises ConfigError if it is not a regular file, cannot be read or is larger than MAX_BYTES."""
+    try:
+        # A pipe or device may have no end, or block for ever.
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ConfigError(f"replay file {path}: expected a regular file, got a folder, pipe or device")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"replay file {path}: {error.strerror}") from None
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"replay file {path}: it has more than {MAX_BYTES >> 20} MiB, the most that is read")
+    return content
+
+
+# Asks a source of completions, notes every answer, and writes a replay file on request.
+
+Answer = TypeVar("Answer", bound=BaseModel)
+
+MAX_TOKENS = 1024
+REPAIRS = 1
+PLACE_CHARS = 100
+
+
+class Transcript:
+    """Conversations with one source; each call starts from the messages that it is given."""
+
+    def __init__(self, source: CompletionSource, *, record: Path | None = None) -> None:
+        """``record``: a replay file to which every new completion is appended, refusals too."""
+        self.name = source.name
+        self._source, self._record = source, record
+        self._calls: list[dict[str, object]] = []
+
+    def text(self, messages: Sequence[Message], *, purpose: str, prompt_version: str) -> str:
+        """Return a free text. Raises LanguageError, also for a refusal and for a text that was cut."""
+        completion = self._complete(messages, purpose=purpose, prompt_version=prompt_version, json_schema=None)
+        if completion.finish_reason != "stop":
+            raise LanguageError(f"{self._about(purpose)} is not whole (finish reason {completion.finish_reason})")
+        return completion.text
+
+    def answer(self, messages: Sequence[Message], schema: type[Answer], *, purpose: str, prompt_version: str) -> Answer:
+        """Return an answer that the schema accepts.
+
+        A wrong answer is sent back to the model once with what is wrong. Raises LanguageError if the answer is still
+        wrong, and for a refusal.
+        """
+        messages, wrong = list(messages), ""
+        for _ in range(1 + REPAIRS):
+            completion = self._complete(
+                messages, purpose=purpose, prompt_version=prompt_version, json_schema=schema.model_json_schema()
+            )
+            try:
+                return schema.model_validate_json(json_of(completion.text))
+            except ValidationError as error:
+                first = error.errors()[0]
+                # It may contain the name of a field that the answer made up.
+                place = one_line(".".join(map(str, first["loc"])), limit=PLACE_CHARS) or "the answer"
+                wrong = f"{place}: {first['msg']}"
+            messages += [
+                Message(role="assistant", content=completion.text),
+                Message(role="user", content=f"That does not fit the schema ({wrong}). Send the corrected JSON alone."),
+            ]
+        raise LanguageError(f"{self._about(purpose)} does not fit its schema after {REPAIRS} repair: {wrong}")
+
+    def take_calls(self) -> list[dict[str, object]]:
+        """Return the calls since the last time this was called, for the recording."""
+        calls, self._calls = self._calls, []
+        return calls
+
+    def _about(self, purpose: str) -> str:
+        last = self._calls[-1]
+        return f"{self.name}: the answer {str(last['completion_sha256'])[:12]} to {purpose}"
+
+    def _complete(
+        self, messages: Sequence[Message], *, purpose: str, prompt_version: str, json_schema: dict[str, Any] | None
+    ) -> Completion:
+        request = CompletionRequest(
+            model=self._source.model, messages=tuple(messages), json_schema=json_schema, max_tokens=MAX_TOKENS,
+            prompt_version=prompt_version,
+        )  # fmt: skip
+        call: dict[str, object] = {
+            "purpose": purpose, "backend": self.name, "prompt_version": prompt_version,
+            "request_sha256": request.sha256, "completion_sha256": None,
+        }  # fmt: skip
+        try:
+            completion = self._source.complete(request)
+        except LanguageError as error:
+            if error.endpoint is not None:
+                self._calls.append(call | {"endpoint": error.endpoint})
+            raise
+        call |= {"model": completion.model, "completion_sha256": completion.sha256}
+        given = {"endpoint": completion.endpoint, "sent": completion.sent}
+        self._calls.append(call | {k: v for k, v in given.items() if v is not None})
+        if self._record is not None:
+            append_completion(self._record, request, completion)
+        if completion.refusal is not None:
+            raise LanguageError(f"{self._about(purpose)} is a refusal: {completion.refusal:.500}")
+        return completion
+
+
+def append_completion(path: Path, request: CompletionRequest, completion: Completion) -> None:
+    """Append one line, unless the file holds an answer to the request already; trials may do so at the same time.
+
+    Raises LanguageError if the file cannot be written.
+    """
+    row = RecordedCompletion(key=request.sha256, request=request, completion=completion)
+    line = json.dumps(row.model_dump(mode="json"), sort_keys=True) + "\n"
+    try:
+        with path.open("a+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            file.seek(0)
+            # The first answer counts: a model that answers differently the second time must not spoil the file.
+            if any(f'"key": "{row.key}"'.encode() in held for held in file):
+                return
+            file.write(line.encode())
+    except OSError as error:
+        raise LanguageError(f"completions cannot be recorded in {path}: {error.strerror}") from None

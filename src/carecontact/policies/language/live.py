@@ -1,30 +1,231 @@
-"""``live:<model>``: any endpoint that speaks OpenAI's chat completions; nothing that it sends is trusted."""
+"""Language models behind an endpoint that speaks OpenAI's chat completions, and which backend a run's `language`
+names."""
 
 from __future__ import annotations
 
 import logging
+import os
+import re
+import threading
 import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import SplitResult, unquote, urlsplit
 
-from pydantic import ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from carecontact.errors import ConfigError, DependencyError, LanguageError
-from carecontact.policies.language.address import Address, address_of_environment
+from carecontact.policies.language.backend import Rules
 from carecontact.policies.language.completion import (
     MAX_NAME_CHARS,
     MAX_REFUSAL_CHARS,
     MAX_TEXT_CHARS,
+    MODEL_NAME,
+    MODEL_NAME_WANTED,
+    Cleaner,
     Completion,
     CompletionRequest,
+    Replay,
+    Transcript,
 )
-from carecontact.policies.language.deadline import call_within
-from carecontact.policies.language.reply import MAX_REPLY_BYTES, Reply, StatusError, read_body
-from carecontact.policies.language.sampling import Sampling
-from carecontact.policies.language.untrusted import Cleaner
 
 if TYPE_CHECKING:
     from openai import OpenAI
+
+
+# Address and key of the endpoint, from the variables that OpenAI's own clients read.
+
+URL_VARIABLE, KEY_VARIABLE = "OPENAI_BASE_URL", "OPENAI_API_KEY"
+DEFAULT_URL = "https://api.openai.com/v1"
+MAX_URL = 500
+_PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")
+_WANTED = "expected http:// or https:// with a host and no query, such as http://127.0.0.1:8000/v1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Address:
+    """The place of the endpoint, and what must not be shown of it."""
+
+    url: str = field(repr=False)
+    key: str = field(repr=False)
+    """Empty if none was given."""
+    endpoint: str
+    """``host`` or ``host:port``: the part of the address that may be stored."""
+    secrets: tuple[str, ...] = field(repr=False)
+    """Every value of the environment that a request carries and that nobody else may see."""
+
+
+def address_of_environment() -> Address:
+    """Return the address. Raises ConfigError that names the variable that is wrong, without its value."""
+    url, key = os.environ.get(URL_VARIABLE) or DEFAULT_URL, os.environ.get(KEY_VARIABLE) or ""
+    if not all("!" <= c <= "~" for c in key):
+        raise ConfigError(f"{KEY_VARIABLE}: expected printable ASCII without spaces or line ends")
+    parts = _split(url)
+    if parts is None or parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
+        raise ConfigError(f"{URL_VARIABLE}: {_WANTED}")
+    endpoint = parts.netloc.rpartition("@")[2].lower()
+    return Address(url=url, key=key, endpoint=endpoint, secrets=tuple(_secrets(key, parts)))
+
+
+def _split(url: str) -> SplitResult | None:
+    try:
+        parts = urlsplit(url)
+        # urlsplit checks a port only when it is read.
+        _ = parts.port
+    except ValueError:
+        return None
+    return parts if len(url) <= MAX_URL and url.isprintable() and " " not in url else None
+
+
+def _secrets(key: str, address: SplitResult) -> Iterator[str]:
+    yield key
+    yield os.environ.get("OPENAI_ADMIN_KEY", "")
+    for header in os.environ.get("OPENAI_CUSTOM_HEADERS", "").splitlines():
+        value = header.partition(":")[2].strip()
+        yield value
+        yield value.partition(" ")[2]
+    proxies = (_split(os.environ.get(name) or os.environ.get(name.lower()) or "") for name in _PROXIES)
+    for parts in (address, *proxies):
+        if parts is not None and parts.password:
+            user, password = unquote(parts.username or ""), unquote(parts.password)
+            yield from (password, f"{user}:{password}")
+
+
+# A hard limit of wall time for anything that waits for others.
+
+Value = TypeVar("Value")
+
+
+def call_within(seconds: float, function: Callable[[], Value]) -> Value:
+    """Return or raise what ``function`` does, or raise TimeoutError once the time is up.
+
+    The function runs in a thread of its own, which is left to itself after the time limit: nothing else ends the
+    look-up of a host's name, or a header that arrives byte by byte, each byte well within the timeout of a socket.
+    """
+    if seconds <= 0:
+        raise TimeoutError
+    answer: Future[Value] = Future()
+
+    def work() -> None:
+        try:
+            answer.set_result(function())
+        except BaseException as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return answer.result(timeout=seconds)
+
+
+# What an endpoint sends back: the parts of a chat completion or an error that are used, read up to a limit.
+
+MAX_REPLY_BYTES = 1 << 20
+"""Bytes that are read of any body, an error's too; a completion has some kilobytes."""
+
+
+class ReplyMessage(BaseModel):
+    """The message of a choice."""
+
+    content: str | None = None
+    refusal: str | None = None
+
+
+class Choice(BaseModel):
+    """One answer of a chat completion."""
+
+    message: ReplyMessage
+    finish_reason: str | None = None
+
+
+class Reply(BaseModel):
+    """The parts of a chat completion that are used."""
+
+    model: str | None = None
+    choices: list[Choice] = Field(min_length=1)
+
+
+class _ErrorEntry(BaseModel):
+    message: str
+    param: str | None = None
+
+
+class _ErrorReply(BaseModel):
+    error: _ErrorEntry
+
+
+class StatusError(Exception):
+    """The endpoint answered with a status other than 2xx."""
+
+    def __init__(self, status: int, body: str) -> None:
+        """``said`` and ``param`` are taken from the body where it is an error as OpenAI sends it."""
+        self.status = status
+        try:
+            entry = _ErrorReply.model_validate_json(body).error
+            self.said, self.param = entry.message, entry.param
+        except ValidationError:
+            self.said, self.param = body, None
+        super().__init__(f"HTTP {status}")
+
+    @property
+    def may_pass(self) -> bool:
+        """Whether another try may succeed."""
+        return self.status == 429 or self.status >= 500
+
+
+def read_body(response: Any, *, limit_s: float) -> tuple[bytes, bool]:
+    """Return the unpacked body up to MAX_REPLY_BYTES, and whether that is all of it.
+
+    Raises TimeoutError after ``limit_s``: by then nobody waits for the body any more, and the thread that reads it must
+    not go on for days.
+    """
+    content, began = bytearray(), time.monotonic()
+    for piece in response.iter_bytes():
+        if time.monotonic() - began > limit_s:
+            raise TimeoutError
+        content += piece
+        if len(content) > MAX_REPLY_BYTES:
+            return bytes(content[:MAX_REPLY_BYTES]), False
+    return bytes(content), True
+
+
+# Sampling parameters as an endpoint accepts them: OpenAI's newer models take other names than most endpoints.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """Which parameters are sent."""
+
+    temperature: bool = True
+    """False if the endpoint accepts none; it then samples as it does by default."""
+    limit: str = "max_tokens"
+    """Name of the token limit; the newer one, ``max_completion_tokens``, also counts a model's reasoning."""
+
+    def parameters(self, request: CompletionRequest) -> dict[str, float | int]:
+        """Return the parameters to send with a request."""
+        sent: dict[str, float | int] = {self.limit: request.max_tokens}
+        return {"temperature": request.temperature, **sent} if self.temperature else sent
+
+    def adapted(self, parameter: str | None, message: str) -> Sampling:
+        """Return what to send after an HTTP 400: what the error names is left out or replaced.
+
+        Args:
+            parameter: the error's own field for the name of a parameter. Where it is None, the name is looked for in
+                ``message``.
+            message: the error's text.
+        """
+        named = {parameter} if parameter else set(re.findall(r"\b(?:temperature|max_tokens)\b", message))
+        changed = self
+        if "temperature" in named:
+            changed = replace(changed, temperature=False)
+        if "max_tokens" in named:
+            changed = replace(changed, limit="max_completion_tokens")
+        return changed
+
+
+# ``live:<model>``: any endpoint that speaks OpenAI's chat completions; nothing that it sends is trusted.
 
 DEADLINE_S = 25.0
 """Limit of one completion with all its tries: below the 30 s that a protocol allows a call of a policy."""
@@ -186,3 +387,38 @@ def _raise_for_status(response: Any) -> None:
     if not response.is_success:
         content, _ = read_body(response, limit_s=DEADLINE_S)
         raise StatusError(response.status_code, content.decode(errors="replace"))
+
+
+# Finds the language backend that the text of a policy's argument ``language`` names.
+
+SPELLINGS = "rules-v1, replay:FILE.jsonl or live:MODEL"
+
+
+def language_name(spelled: str) -> str:
+    """Return what a result calls the backend that ``spelled`` names. Opens a replay file, connects to nothing.
+
+    Raises ConfigError for another spelling or a file that is not a replay file, DependencyError for live without its
+    package.
+    """
+    return Rules.name if spelled == Rules.name else _source(spelled).name
+
+
+def transcript_of(spelled: str, *, record: Path | None = None) -> Transcript | None:
+    """Return the transcript of a language model, None for rules-v1. Raises as ``language_name``.
+
+    ``record``: file to which the completions of a live model are added.
+    """
+    return None if spelled == Rules.name else Transcript(_source(spelled), record=record)
+
+
+def _source(spelled: str) -> Replay | Live:
+    kind, _, rest = spelled.partition(":")
+    if kind == "replay" and rest:
+        return Replay(rest)
+    if kind == "live" and rest:
+        if not MODEL_NAME.fullmatch(rest):
+            raise ConfigError(f"language {spelled!r:.200}: expected as MODEL {MODEL_NAME_WANTED}")
+        return Live(rest)
+    if kind == "live":
+        raise ConfigError(f"language {spelled!r:.200}: expected a model after it, as in live:my-model")
+    raise ConfigError(f"language {spelled!r:.200}: expected {SPELLINGS}")

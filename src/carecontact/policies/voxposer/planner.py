@@ -1,11 +1,8 @@
-"""Makes a path of maps: costs over the voxels and a greedy walk down them.
-
-It follows the release's planners.py and what interfaces.py does to the avoidance map before; docs/voxposer.md lists the
-differences.
-"""
+"""Plans a path through value maps greedily, and follows it with the tool."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import product
@@ -15,10 +12,19 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import ProgramError
-from carecontact.policies.voxposer import fixed_values as fixed
-from carecontact.policies.voxposer.grid import Grid, Voxel
-from carecontact.policies.voxposer.maps import ValueMap, goals
-from carecontact.policies.voxposer.smoothing import waypoints
+from carecontact.interface.action import Action
+from carecontact.interface.geometry import pixels
+from carecontact.interface.observation import CameraView
+from carecontact.policies.motion import slerp
+from carecontact.policies.voxposer import maps as fixed
+from carecontact.policies.voxposer.maps import Grid, MapKind, ValueMap, Voxel, goals, waypoints
+from carecontact.policies.voxposer.programs import Execution, MapQuery, Roles
+from carecontact.policies.voxposer.scene import Scene
+
+# Makes a path of maps: costs over the voxels and a greedy walk down them.
+#
+# It follows the release's planners.py and what interfaces.py does to the avoidance map before; docs/voxposer.md lists
+# the differences.
 
 Bool = npt.NDArray[np.bool_]
 F32 = npt.NDArray[np.float32]
@@ -125,3 +131,209 @@ def _cube(centre: Voxel, half: int) -> tuple[slice, ...]:
 def _normalised(values: F32) -> F32:
     low, high = float(values.min()), float(values.max())
     return np.zeros_like(values) if high - low < 1e-12 else ((values - low) / (high - low)).astype(np.float32)
+
+
+# Makes a plan's targets until the next look: skips what leads back, keeps to the maps' speeds and turns.
+
+ROUNDING_S = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """What the tool does until the next look."""
+
+    actions: list[Action]
+    """One for every period of CONTROL_HZ."""
+    whole: bool
+    """Whether the actions go to the end of the path, or only as far as the horizon."""
+
+
+def forward_only(waypoints_m: F64, tool_m: F64) -> F64:
+    """Return the (k, 3) waypoints that lead forward, out of (n, 3), for a tool at (3,), all in base [m].
+
+    The last waypoint is kept. Of those before it, one is kept if it lies towards the last one, as seen from the one
+    kept before it (or from the tool), until one is within NEAR_END_M of the last. As in the release, the product that
+    decides is rounded to 0.001 m^2.
+    """
+    kept: list[F64] = []
+    place, last = tool_m, waypoints_m[-1]
+    for waypoint in waypoints_m[:-1]:
+        if np.linalg.norm(last - place) <= fixed.NEAR_END_M:
+            break
+        if round(float((last - place) @ (waypoint - place)), 3) > 0:
+            kept.append(waypoint)
+            place = waypoint
+    return np.array([*kept, last])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manner:
+    """How the tool goes to a waypoint."""
+
+    speed_m_s: float
+    quat: tuple[float, ...] | None
+    """quat_wxyz at the waypoint; None keeps the present one."""
+    gripper: float | None
+    """Opening from 0 to 1; None keeps the present one."""
+
+
+def manner(grid: Grid, place_m: F64, maps: Mapping[MapKind, ValueMap]) -> Manner:
+    """Return what the velocity, rotation and gripper maps say for the voxel of a place (3,) in base [m]."""
+    velocity, rotation, gripper = maps.get("velocity"), maps.get("rotation"), maps.get("gripper")
+    factor = (velocity.at(grid, place_m) if velocity else None) or (1.0,)
+    opening = gripper.at(grid, place_m) if gripper else None
+    return Manner(
+        speed_m_s=fixed.FULL_SPEED_M_S * float(np.clip(factor[0], fixed.MIN_VELOCITY, 1.0)),
+        quat=rotation.at(grid, place_m) if rotation else None,
+        gripper=None if opening is None else opening[0],
+    )
+
+
+def motion(
+    waypoints_m: F64,
+    pose_tcp: F64,
+    *,
+    grid: Grid,
+    maps: Mapping[MapKind, ValueMap],
+    horizon_s: float = fixed.HORIZON_S,
+    settle_s: float = fixed.SETTLE_S,
+) -> Motion:
+    """Move in straight lines from the tool (7,) through all waypoints (n, 3), at each one's speed, up to the horizon.
+
+    Args:
+        waypoints_m: (n, 3) in base [m].
+        pose_tcp: (7,) where the tool is: position in base [m], quat_wxyz.
+        grid: the voxels of the maps; no target lies outside its box.
+        maps: velocity, rotation and gripper maps; others are ignored.
+        horizon_s: length of the motion at most [s].
+        settle_s: how long the end of the path is held [s], if the path ends before the horizon.
+    """
+    position, quat = pose_tcp[:3], pose_tcp[3:]
+    budget = round(horizon_s * fixed.CONTROL_HZ)
+    actions: list[Action] = []
+    began_s = 0.0
+    for goal in waypoints_m:
+        said = manner(grid, goal, maps)
+        turn = quat if said.quat is None else np.array(said.quat)
+        angle = 2 * float(np.arccos(np.clip(abs(float(quat @ turn)), 0.0, 1.0)))
+        seconds = max(float(np.linalg.norm(goal - position)) / said.speed_m_s, angle / fixed.ROTATION_SPEED_RAD_S)
+        while (since_s := (len(actions) + 1) / fixed.CONTROL_HZ - began_s) <= seconds + ROUNDING_S:
+            if len(actions) == budget:
+                return Motion(actions=actions, whole=False)
+            share = min(since_s / seconds, 1.0)
+            # The tool may have been pushed out of the workspace; no target may lie there.
+            place = np.clip(position + share * (goal - position), grid.low_m, grid.high_m)
+            pose = np.concatenate([place, slerp(quat, turn, share)])
+            actions.append(Action(pose_tcp_in_base=pose, gripper=said.gripper))
+        began_s += seconds
+        position, quat = goal, turn
+    if len(actions) == budget and began_s > horizon_s + ROUNDING_S:
+        return Motion(actions=actions, whole=False)
+    last = np.concatenate([np.clip(position, grid.low_m, grid.high_m), quat])
+    arriving = int(len(actions) / fixed.CONTROL_HZ < began_s - ROUNDING_S)
+    actions += [Action(pose_tcp_in_base=last)] * (arriving + round(settle_s * fixed.CONTROL_HZ))
+    return Motion(actions=actions, whole=True)
+
+
+def homewards(home: F64, pose_tcp: F64, *, grid: Grid, settle_s: float) -> Motion:
+    """Move from ``pose_tcp`` (7,) straight back to the pose ``home`` (7,) in one stretch, both in base."""
+    turn = ValueMap(kind="rotation")
+    turn.add(grid.voxel(home[:3]), tuple(home[3:].tolist()), radius_cm=fixed.RADIUS_LIMIT_CM)
+    way = np.clip(home[None, :3], grid.low_m, grid.high_m)
+    return motion(way, pose_tcp, grid=grid, maps={"rotation": turn}, horizon_s=fixed.HOME_LIMIT_S, settle_s=settle_s)
+
+
+# What the recording keeps of a plan: its path, and for the first plan of a motion slices of its maps.
+
+NOTED_ROWS = 50
+"""Rows of a map, or target voxels, that are kept at most."""
+
+
+def path_notes(
+    made: Plan, target: npt.NDArray[np.float32], *, tool_m: F64, grid: Grid, view: CameraView
+) -> dict[str, object]:
+    """Return the notes of every plan: the path from the tool (3,) on, and the middle of the target, in base [m]."""
+    path = np.vstack([tool_m, grid.points(made.waypoints)])
+    return {
+        "path_m": path.round(4).tolist(),
+        "path_px": pixels(path, view.intrinsics, view.pose_camera_in_base).round(1).tolist(),
+        "target_m": grid.points(goals(target).mean(axis=0)).round(4).tolist(),
+    }
+
+
+def map_notes(
+    made: Plan,
+    target: npt.NDArray[np.float32],
+    *,
+    queries: Mapping[MapKind, MapQuery],
+    maps: Mapping[MapKind, ValueMap],
+    grid: Grid,
+    view: CameraView,
+) -> dict[str, object]:
+    """Return the notes of a motion's first plan: what its maps say, and slices of cost, distance and avoidance.
+
+    The level slices (MAP_SIZE, MAP_SIZE) lie at the height of the target, the upright one at its y.
+    """
+    targets = goals(target)
+    _, y, z = np.rint(targets.mean(axis=0)).astype(int).tolist()
+    way = [manner(grid, place, maps) for place in grid.points(made.waypoints)]
+    return {
+        "grid": {"low_m": grid.low_m.tolist(), "high_m": grid.high_m.tolist(), "level": z, "upright": y},
+        "intrinsics": view.intrinsics.tolist(), "pose_camera_in_base": view.pose_camera_in_base.tolist(),
+        "maps": {kind: query.query for kind, query in queries.items()},
+        "written": {kind: value_map.rows()[:NOTED_ROWS] for kind, value_map in maps.items()},
+        "target_voxels": targets[:NOTED_ROWS].tolist(),
+        "path_speed_m_s": [said.speed_m_s for said in way], "path_quat": [said.quat for said in way],
+        "path_gripper": [said.gripper for said in way],
+        "cost_level": made.cost[:, :, z].astype(np.float16), "cost_upright": made.cost[:, y, :].astype(np.float16),
+        "distance_level": made.distance[:, :, z].astype(np.float16),
+        "avoidance_level": made.avoidance[:, :, z].astype(np.float16),
+    }  # fmt: skip
+
+
+# The next stretch of one call of ``execute``: compose its maps from the latest look, plan, and move a little.
+
+
+def next_stretch(
+    current: Execution,
+    scene: Scene,
+    roles: Roles,
+    notes: dict[str, object],
+    *,
+    subtask: str,
+    horizon_s: float,
+    settle_s: float,
+) -> Motion | None:
+    """Return the next stretch of a motion; None when the motion is over.
+
+    Args:
+        current: the call that the robot carries out; its plans are counted here.
+        scene: what is seen now.
+        roles: composes the maps.
+        notes: what is written down of the plan is added here.
+        subtask: what the motion is for, as errors and notes name it.
+        horizon_s: length of the stretch at most [s].
+        settle_s: how long the end of a path is held [s].
+
+    Raises:
+        ProgramError: a program that composes a map is stopped or wrong.
+        PerceptionFailure: a part that a program requests has never been seen.
+    """
+    grid, tool, view = scene.grid, scene.pose_tcp, scene.view
+    if current.home is not None:
+        return None if current.whole else homewards(current.home, tool, grid=grid, settle_s=settle_s)
+    if current.plans >= fixed.MAX_PLANS:
+        return None
+    maps: dict[MapKind, ValueMap] = {kind: roles.value_map(query) for kind, query in current.maps.items()}
+    target = target_of(maps.get("affordance"), tool, grid, subtask=subtask)
+    avoidance = maps.get("avoidance", ValueMap(kind="avoidance")).dense(grid)
+    made = plan(grid.voxel(tool[:3]), target, avoidance, scene.occupied())
+    if current.whole and made.distance[grid.voxel(tool[:3])] <= fixed.REACHED_VOXELS:
+        return None
+    current.plans += 1
+    notes |= {"subtask": subtask, "plan": current.plans}
+    notes |= path_notes(made, target, tool_m=tool[:3], grid=grid, view=view)
+    if current.plans == 1:
+        notes |= map_notes(made, target, queries=current.maps, maps=maps, grid=grid, view=view)
+    waypoints = forward_only(grid.points(made.waypoints), tool[:3])
+    return motion(waypoints, tool, grid=grid, maps=maps, horizon_s=horizon_s, settle_s=settle_s)

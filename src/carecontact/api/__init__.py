@@ -1,0 +1,1 @@
+"""What ``import carecontact`` offers: runs as objects, comparisons, and evaluation of a policy."""

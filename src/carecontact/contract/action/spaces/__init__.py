@@ -1,1 +1,0 @@
-"""Action spaces: one file each, found by their names."""

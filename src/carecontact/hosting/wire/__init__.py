@@ -1,1 +1,0 @@
-"""The native wire: msgpack over WebSocket, decoded defensively, no pickle."""

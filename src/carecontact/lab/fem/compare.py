@@ -1,0 +1,411 @@
+"""Compares the answers of finite elements and simulator, number by number, as table and figure."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carecontact.lab.fem import simulated, solve
+from carecontact.lab.fem.cases import (
+    BESIDE_M,
+    CASES,
+    DEPTHS_M,
+    DIMPLE_M,
+    FRICTION,
+    MATCHED_M,
+    MIDDLE,
+    OTHER_FRICTION,
+    OTHER_POISSON,
+    PLAIN,
+    POISSON,
+    RINGS_M,
+    SKINS,
+    TOLD_WAYS_M,
+    TOUCH_N,
+    TOUCHES_N,
+    Answer,
+    Case,
+    Ground,
+)
+from carecontact.lab.fem.solve import MARGIN, Block, Sample
+from carecontact.lab.validation.result import Array
+from carecontact.lab.validation.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# The numbers by which two tissues are compared, each computed from an answer.
+
+POINTS = "%"
+"""Unit of quantities that are percentages: they are compared by their difference, all others by their ratio."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    name: str
+    unit: str
+    of: Callable[[Answer], float]
+
+
+def quantities(case: Case) -> list[Quantity]:
+    """Return every quantity of a case, in the order of the table."""
+    return [*_main_curve(case), *_other_tools(case), *_exponents(case), *_dimple(case), *_along(case)]
+
+
+def off_published(answer: Answer, case: Case, touch_n: float) -> Array:
+    """Return how far (d,) [%] the force at DEPTHS_M lies above the published curve's, if ``touch_n`` counts as
+    touch.
+    """
+    published = np.interp(DEPTHS_M, case.reference.depth_m, case.reference.force_n)
+    return 100 * (answer.curves[case.main.name].at(DEPTHS_M, touch_n=touch_n) / published - 1)
+
+
+def _main_curve(case: Case) -> Iterator[Quantity]:
+    name = case.main.name
+    for k in (1, 2, 4):
+        yield Quantity(
+            name=f"force, {name}, {_mm(DEPTHS_M[k])} deep", unit="N",
+            of=lambda a, k=k: float(a.curves[name].at(DEPTHS_M)[k]),
+        )  # fmt: skip
+    for k in range(4):
+        yield Quantity(
+            name=f"share of the 4 mm force at {_mm(DEPTHS_M[k])}", unit="", of=lambda a, k=k: float(a.shares(case)[k])
+        )
+    for k in (0, 1, 2):
+        for touch in TOUCHES_N:
+            yield Quantity(
+                name=f"above the published curve at {_mm(DEPTHS_M[k])}, touch at {touch:g} N", unit=POINTS,
+                of=lambda a, k=k, touch=touch: float(off_published(a, case, touch)[k]),
+            )  # fmt: skip
+
+
+def _other_tools(case: Case) -> Iterator[Quantity]:
+    for name, tool in case.tools().items():
+        if tool == case.main or not (tool in case.references or tool in case.gliding()):
+            continue
+        for k in (1, 4):
+            yield Quantity(
+                name=f"force, {name}, {_mm(DEPTHS_M[k])} deep", unit="N",
+                of=lambda a, name=name, k=k: float(a.curves[name].at(DEPTHS_M)[k]),
+            )  # fmt: skip
+
+
+def _exponents(case: Case) -> Iterator[Quantity]:
+    for word in ("ball", "disc"):
+        for k in (1, 2, 4):
+            yield Quantity(
+                name=f"exponent over the radius, {word}s, {_mm(DEPTHS_M[k])} deep", unit="",
+                of=lambda a, word=word, k=k: float(a.exponents(case, word)[k]),
+            )  # fmt: skip
+
+
+def _dimple(case: Case) -> Iterator[Quantity]:
+    for k, distance in enumerate(DIMPLE_M):
+        yield Quantity(
+            name=f"dimple, {case.main.name}, {_mm(distance)} from its axis", unit="",
+            of=lambda a, k=k: float(a.dimple_at(DIMPLE_M)[k]),
+        )  # fmt: skip
+    if case.ground.limb_radius_m is None:
+        return
+    for k, distance in enumerate(BESIDE_M):
+        yield Quantity(
+            name=f"dimple around the limb, {case.main.name}, {_mm(distance)} from its axis", unit="",
+            of=lambda a, k=k: float(a.beside_at(BESIDE_M)[k]),
+        )  # fmt: skip
+
+
+def _along(case: Case) -> Iterator[Quantity]:
+    for tool in case.gliding():
+        name = tool.name
+        yield Quantity(
+            name=f"along, {name}: stiffness while stuck", unit="N/mm", of=lambda a, n=name: a.drags[n].stuck_n_m / 1000
+        )
+        yield Quantity(
+            name=f"along, {name}: the same over the tool's radius", unit="kPa",
+            of=lambda a, tool=tool: a.drags[tool.name].stuck_n_m / tool.radius_m / 1000,
+        )  # fmt: skip
+        for k, way in enumerate(TOLD_WAYS_M):
+            yield Quantity(
+                name=f"along, {name}: force after {_mm(way)}", unit="N",
+                of=lambda a, n=name, k=k: float(a.drags[n].at(TOLD_WAYS_M)[k]),
+            )  # fmt: skip
+        yield Quantity(
+            name=f"along, {name}: force over normal force after 10 mm", unit="",
+            of=lambda a, n=name: float(a.drags[n].force_n[-1] / a.drags[n].normal_n[-1]),
+        )  # fmt: skip
+
+
+def _mm(length_m: float) -> str:
+    return f"{1000 * length_m:g} mm"
+
+
+# The finite elements' results as a small file, so that a tissue can be compared in seconds without solving anything.
+#
+# ``tools/fem_table.py`` writes it. To compare another tissue, read ``standards()``, compute that tissue's response to
+# the same tools, and ask each standard how far the quantity lies outside.
+
+FILE = "standards.json"
+SCHEMA = "carecontact-fem-standards-1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standard:
+    """One quantity of one region by finite elements."""
+
+    region: str
+    name: str
+    unit: str
+    skins: tuple[float, ...]
+    """Values with each of SKINS; the first is the middle one."""
+    plain: float
+    """Value without skin."""
+
+    def outside_percent(self, value: float) -> float:
+        """Return how far a value lies outside the range of the skins; 0 means inside."""
+        low, high = min(self.skins), max(self.skins)
+        nearest = min(max(value, low), high)
+        return abs(value - nearest) * (1 if self.unit == POINTS else 100 / abs(nearest))
+
+
+def made(case: Case, plain: Answer, skins: tuple[Answer, ...]) -> list[Standard]:
+    """Make the standards of one case. ``skins``: answers in the order of SKINS."""
+    return [
+        Standard(region=case.region, name=quantity.name, unit=quantity.unit, plain=rounded(quantity.of(plain)),
+                 skins=tuple(rounded(quantity.of(answer)) for answer in skins))
+        for quantity in quantities(case)
+    ]  # fmt: skip
+
+
+def standards() -> list[Standard]:
+    """Return the stored standards, of CASES with their own grounds."""
+    stored = json.loads((files("carecontact.lab.fem") / FILE).read_text())
+    return [
+        Standard(region=region, name=name, unit=unit, skins=tuple(skins), plain=plain)
+        for region, held in stored["regions"].items()
+        for name, unit, plain, *skins in held["rows"]
+    ]
+
+
+def as_text(found: dict[str, tuple[Answer, tuple[Answer, ...]]]) -> str:
+    """Return the file's text, with a line for each quantity, from each region's answers without skin and with each of
+    SKINS.
+    """
+    head = {
+        "schema": SCHEMA, "written_by": "tools/fem_table.py", "columns": ["name", "unit", "no skin", *names()],
+        "skins": {s.name: {"thickness_m": s.thickness_m, "modulus_pa": s.modulus_pa} for s in SKINS},
+        "poisson": POISSON, "friction": FRICTION, "touch_n": TOUCH_N, "matched_m": MATCHED_M,
+        "sources": "skin, Poisson's ratio, friction: materials.py; grounds: cases.py; published curves: "
+                   "lab/validation/rig.py",
+    }  # fmt: skip
+    regions = []
+    for case in CASES:
+        plain, skins = found[case.region]
+        about = {
+            "thickness_m": case.ground.thickness_m, "limb_radius_m": case.ground.limb_radius_m,
+            "published": case.reference.name, "tool": case.main.name,
+            "tissue_pa": [rounded(answer.modulus_pa) for answer in (plain, *skins)],
+        }  # fmt: skip
+        rows = [json.dumps([s.name, s.unit, s.plain, *s.skins]) for s in made(case, plain, skins)]
+        lines = ",\n   ".join(rows)
+        regions.append(f' "{case.region}": {{{json.dumps(about)[1:-1]},\n  "rows": [\n   {lines}]}}')
+    return f'{{{json.dumps(head)[1:-1]},\n"regions": {{\n' + ",\n".join(regions) + "}}\n"
+
+
+def names() -> list[str]:
+    return [skin.name for skin in SKINS]
+
+
+def rounded(value: float) -> float:
+    """Round to four digits."""
+    return float(f"{value:.4g}") if np.isfinite(value) else value
+
+
+# Compares both answers, for every skin of the published range.
+
+CLOSE_PERCENT = 10.0
+"""Largest distance from the nearest end of the finite elements' range that the table counts as agreement."""
+SECOND_SIDE_M = 0.003
+"""Side of the hexahedra of the second method."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One quantity of one region, by finite elements and by the simulator."""
+
+    standard: Standard
+    simulated: float
+
+    @property
+    def outside_percent(self) -> float:
+        """How far the simulated value lies outside the range of the skins; 0 means inside."""
+        return self.standard.outside_percent(self.simulated)
+
+    @property
+    def agrees(self) -> bool:
+        return self.outside_percent <= CLOSE_PERCENT
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    case: Case
+    """The case, with the ground of the body that is compared."""
+    plain: Answer
+    skins: tuple[Answer, ...]
+    """Answers in the order of SKINS."""
+    simulated: Answer
+    extras: Mapping[str, float]
+    """Further numbers of the finite elements, by name."""
+
+    def rows(self) -> list[Row]:
+        """Return this region's rows of the table."""
+        standards = made(self.case, self.plain, self.skins)
+        return [
+            Row(standard=standard, simulated=quantity.of(self.simulated))
+            for standard, quantity in zip(standards, quantities(self.case), strict=True)
+        ]
+
+
+def compare(subject: Subject, *, on_region: Callable[[Comparison], None] = lambda done: None) -> list[Comparison]:
+    """Press and drag every case's tools over finite elements and over the person; ``on_region`` is called after each
+    case.
+
+    Raises what the bench and the finite elements raise if they find no answer.
+    """
+    found = []
+    for standard in CASES:
+        case = replace(standard, ground=simulated.ground(subject, standard))
+        plain, skins = judged(case)
+        done = Comparison(
+            case=case, plain=plain, skins=skins, simulated=simulated.answer(subject, case),
+            extras=_extras(case, skins[SKINS.index(MIDDLE)]),
+        )  # fmt: skip
+        found.append(done)
+        on_region(done)
+    return found
+
+
+def judged(case: Case) -> tuple[Answer, tuple[Answer, ...]]:
+    """Return the finite elements' answers without skin and with each of SKINS, without using the simulator."""
+    return solve.answer(case, PLAIN), tuple(solve.answer(case, skin) for skin in SKINS)
+
+
+def _extras(case: Case, middle: Answer) -> dict[str, float]:
+    """Return further numbers for the middle skin: those of a second method, and the changes by another Poisson's ratio
+    and another friction.
+    """
+    sample = solve.sample(case, MIDDLE, middle)
+    name = case.main.name
+    out = {f"force of the {name} at 4 mm by hexahedra over the table's": _second(case, sample)}
+    for tool in case.gliding():
+        drag = middle.drags[tool.name]
+        out[f"{tool.name}, 4 mm deep: radius of a circle as large as the touched area (mm)"] = (
+            1000 * drag.contact_radius_m
+        )
+    for poisson in OTHER_POISSON:
+        ground: Ground = replace(case.ground, poisson=poisson)
+        other = solve.answer(replace(case, ground=ground), MIDDLE)
+        for word in ("ball", "disc"):
+            out[f"exponent over the radius, {word}s, 4 mm deep, Poisson's ratio {poisson}"] = float(
+                other.exponents(case, word)[-1]
+            )
+        out[f"along, {name}: stiffness while stuck (N/mm), Poisson's ratio {poisson}"] = (
+            other.drags[name].stuck_n_m / 1000
+        )
+        if case.ground.limb_radius_m is not None:
+            for distance, share in zip(BESIDE_M, other.beside_at(BESIDE_M), strict=True):
+                where = f"{name}, {1000 * distance:g} mm from its axis"
+                out[f"dimple around the limb, {where}, Poisson's ratio {poisson}"] = float(share)
+    travel = middle.curves[name].touch_m(TOUCH_N) + DEPTHS_M[-1]
+    for friction in OTHER_FRICTION:
+        drag = sample.drag(case.main, travel, friction)
+        for way in (0.0005, 0.001, 0.01):
+            out[f"along, {name}: force (N) after {1000 * way:g} mm, friction {friction}"] = float(drag.at(way))
+    return out
+
+
+def _second(case: Case, sample: Sample) -> float:
+    block = Block(sample.medium, MARGIN * case.main.reach_m(MATCHED_M) + SECOND_SIDE_M / 2, side_m=SECOND_SIDE_M)
+    return block.press(case.main, MATCHED_M) / float(sample.press(case.main, [MATCHED_M])[0])
+
+
+def as_json(comparisons: list[Comparison]) -> dict[str, object]:
+    """Return every number of the table, the materials behind it, and each layer's modulus."""
+    return {
+        "schema": "carecontact-fem-2",
+        "skins": [{"name": s.name, "thickness_m": s.thickness_m, "modulus_pa": s.modulus_pa} for s in SKINS],
+        "regions": {
+            done.case.region: {
+                "thickness_m": done.case.ground.thickness_m, "limb_radius_m": done.case.ground.limb_radius_m,
+                "poisson": done.case.ground.poisson, "tissue_pa": [rounded(a.modulus_pa) for a in done.skins],
+                "tissue_pa_plain": rounded(done.plain.modulus_pa),
+                "finite_elements_alone": {name: rounded(value) for name, value in done.extras.items()},
+                "rows": [_row_json(row) for row in done.rows()],
+            }
+            for done in comparisons
+        },
+    }  # fmt: skip
+
+
+def _row_json(row: Row) -> dict[str, object]:
+    return {
+        "name": row.standard.name, "unit": row.standard.unit, "skins": list(row.standard.skins),
+        "plain": row.standard.plain, "simulated": rounded(row.simulated),
+        "outside_percent": rounded(row.outside_percent),
+    }  # fmt: skip
+
+
+# One figure of both answers: force over depth, exponent of the radius, dimple, and force over the distance along.
+
+FEM, MIDDLE_SKIN, PLAIN_SKIN, HERE = "#56B4E9", "#0072B2", "#009E73", "#D55E00"
+TITLES = ("force over depth", "growth with balls' size", "growth with discs' size", "dimple", "gliding, 4 mm deep")
+SHOWN_WAYS_M = np.linspace(0.0, 0.005, 51)
+
+
+def draw(comparisons: list[Comparison], figure: Figure) -> None:
+    """Draw one row of panels for each region."""
+    figure.set_size_inches(9.6, 2.05 * len(comparisons) + 0.5)
+    grid = figure.subplots(len(comparisons), len(TITLES), squeeze=False, sharex="col")
+    for axes, title in zip(grid[0], TITLES, strict=True):
+        axes.set_title(title)
+    for row, done in zip(grid, comparisons, strict=True):
+        _row(row, done)
+    for axes, label in zip(grid[-1], ("depth [mm]",) * 3 + ("from the axis [mm]", "way along [mm]"), strict=True):
+        axes.set_xlabel(label)
+    handles, labels = grid[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+
+
+def _row(row: list[Axes], done: Comparison) -> None:
+    case, name = done.case, done.case.main.name
+    depth = np.linspace(0.0002, DEPTHS_M[-1], 40)
+    _panel(row[0], done, 1000 * depth, lambda a: a.curves[name].at(depth))
+    shown = case.reference.depth_m <= 0.0045
+    row[0].plot(
+        1000 * case.reference.depth_m[shown], case.reference.force_n[shown], "k:", lw=1.2, label="people, middle"
+    )
+    row[0].set(ylabel="force [N]", ylim=(0, None), xlim=(0, 4.5))
+    row[0].annotate(
+        f"{case.region.replace('_', ' ')}\n{name}", (0.05, 0.95), xycoords="axes fraction", va="top", weight="bold"
+    )
+    for axes, word in zip(row[1:3], ("ball", "disc"), strict=True):
+        _panel(axes, done, 1000 * DEPTHS_M, lambda a, w=word: a.exponents(case, w))
+        axes.set(ylabel="exponent over radius", xlim=(0, 4.2))
+    _panel(row[3], done, 1000 * RINGS_M, lambda a: -a.dimple)
+    row[3].set(ylabel="height / travel", xlim=(0, 31))
+    _panel(row[4], done, 1000 * SHOWN_WAYS_M, lambda a: a.drags[name].at(SHOWN_WAYS_M))
+    row[4].set(ylabel="force along [N]", ylim=(0, None), xlim=(0, 5))
+
+
+def _panel(axes: Axes, done: Comparison, x: Array, of: Callable[[Answer], Array]) -> None:
+    skins = np.array([of(answer) for answer in done.skins])
+    axes.fill_between(x, skins.min(0), skins.max(0), color=FEM, alpha=0.35, lw=0, label="finite elements, all skins")
+    axes.plot(x, skins[0], color=MIDDLE_SKIN, label="middle skin")
+    axes.plot(x, of(done.plain), "--", color=PLAIN_SKIN, label="no skin")
+    axes.plot(x, of(done.simulated), color=HERE, label="simulator")

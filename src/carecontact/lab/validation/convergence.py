@@ -1,0 +1,331 @@
+"""Check 3: the scores do not depend on the time step or on the mesh. It also reports how the force grows with the
+tool's size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from carecontact.errors import ConfigError, SceneError
+from carecontact.human.shell import Shell
+from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.rig import (
+    ABDOMEN,
+    FOREARM,
+    HEAVY_KG,
+    UPPER_ARM_ANTERIOR,
+    Reference,
+    Rig,
+    declared_bench,
+    middle,
+    robot_tool,
+    tool,
+)
+from carecontact.lab.validation.subject import PRESS, SCRUB, Motion, Scores, Subject, motion_scores
+from carecontact.protocol.person import Tissue
+from carecontact.sim.bench import Bench, Indenter, Shape
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TITLE = "Convergence in time step and mesh"
+SCORES = ("c1_n", "c1_filtered_n", "c5_n", "stroke_m")
+NAMES = {"c1_n": "C1", "c1_filtered_n": "C1 at 100 Hz", "c5_n": "C5", "stroke_m": "stroke"}
+STEP_LIMIT_PERCENT = {"c1_n": 2.0, "c1_filtered_n": 2.0, "c5_n": 5.0, "stroke_m": 2.0}
+MESH_LIMIT_PERCENT = 5.0
+FINER, FINEST_M = 0.7, 0.0025
+"""Share of the shipped spacing at which a law is fitted again (3.5 mm for a mesh of 5 mm), and spacing [m] of the mesh
+on which the tool scrubs, with the shipped law, a region whose bone is held."""
+SCRUB_DEPTH_M, SCRUB_HALF_M, SCRUB_M_S, SCRUB_FROM_M = 0.008, 0.040, 0.10, 0.004
+"""Of the scrub: depth under the undeformed skin along the region's outward direction, distance to each side, speed
+along the skin, and height above the skin at which the tool begins."""
+TOUCHED_N = 0.5
+"""Force from which that scrub counts as contact, as in contact-v1."""
+MESH_REFERENCES = (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN)
+"""Indenter and depths at which meshes are compared; whether the law was fitted to that curve makes no difference."""
+Places = tuple[tuple[float, float], ...]
+PLACES_M: Places = ((0.0, 0.0), (0.020, 0.008))
+"""Places (along, across) in the region's frame at which a law is fitted to a finer mesh."""
+HELD_OUT_M: Places = ((-0.018, -0.006), (0.034, 0.002))
+"""Places at which the two meshes are then compared."""
+TOOL_DEPTHS_M = np.linspace(0.001, 0.008, 8)
+RECALIBRATIONS = 2
+RADIUS_FACTORS = (0.5, 1.0, 2.0)
+TREND_DEPTH_M = 0.004
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trend:
+    region: str
+    shape: Shape
+    radius_m: float
+    """The middle one of three radii."""
+    layer: tuple[float, float] | None = None
+    """Exponents of force over radius for an incompressible elastic layer bonded to bone, 50 and 30 mm thick, which a
+    test computes (sphere: Dimitriadis et al. 2002, Biophys J 82:2798; flat: Hayes et al. 1972, J Biomech 5:541). None
+    for limbs, which are too narrow to count as a layer."""
+
+
+TRENDS = {
+    "forearm, flat": Trend(region="forearm", shape="flat", radius_m=0.0107),
+    "abdomen, sphere": Trend(region="abdomen", shape="hemisphere", radius_m=0.010, layer=(0.58, 0.65)),
+    "abdomen, flat": Trend(region="abdomen", shape="flat", radius_m=0.0107, layer=(1.31, 1.52)),
+}
+"""Both calibration indenters, and a disc on the region for which the theory of a layer predicts the exponent."""
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    measures: list[Measure] = []
+    curves: dict[str, Array] = {}
+    dt = subject.protocol.physics.dt_s
+    regions = subject.regions(quick=quick)
+    motions = (SCRUB,) if quick else (PRESS, SCRUB)
+    shipped = {region: _scores(subject, region, motions) for region in regions}
+    # Twice the protocol's step is the fast mode, which must give the same scores.
+    for factor in (0.5,) if quick else (0.5, 2.0):
+        other = subject.with_dt(dt * factor)
+        for region in regions:
+            what = f"{region}: time step {1000 * dt:g} to {1000 * dt * factor:g} ms"
+            scores = _scores(other, region, motions)
+            measures += [
+                Measure(name=f"{what}, {motion} {NAMES[field]}", value=change, unit="%",
+                        limit=STEP_LIMIT_PERCENT[field])
+                for motion, field, change in _changes(shipped[region], scores)
+            ]  # fmt: skip
+    if not quick:
+        for reference in MESH_REFERENCES:
+            try:
+                measures += mesh(subject, reference, shipped[reference.region], curves)
+                measures += finest_scrub(subject, reference.region)
+            except (SceneError, ConfigError) as error:
+                # Without this measure, the others are still useful.
+                name = f"{reference.region}: finer mesh, not measured: {error}"
+                measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
+        for name, tool_size in TRENDS.items():
+            radii, forces = tool_size.radius_m * np.array(RADIUS_FACTORS), trend(subject, tool_size)
+            layer = "" if tool_size.layer is None else " (bonded layer: {} to {})".format(*tool_size.layer)
+            measures += [
+                Measure(name=f"tool radius x 0.5, 1, 2, {name}: exponent of force{layer}",
+                        value=float(np.polyfit(np.log(radii), np.log(forces), 1)[0])),
+            ]  # fmt: skip
+            curves[f"trend/{name}"] = np.stack([1000 * radii, forces])
+    curves["changes"] = np.array([[m.value, m.limit or 0.0] for m in measures if m.limit is not None])
+    return CheckResult(check="convergence", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _scores(subject: Subject, region: str, motions: Sequence[Motion]) -> dict[str, Scores]:
+    return {b.name: motion_scores(subject, region, b) for b in motions}
+
+
+def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[str, str, float]]:
+    """Return triples of motion, score and change [%]; a press has no stroke."""
+    out = []
+    for motion in before:
+        for field in SCORES:
+            if motion == PRESS.name and field == "stroke_m":
+                continue
+            old, new = getattr(before[motion], field), getattr(after[motion], field)
+            out.append((motion, field, float(100 * abs(new / old - 1))))
+    return out
+
+
+def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
+    """Measure the change on a finer mesh: with the same law per area, and with the law fitted again at the calibration
+    indenter.
+
+    A law belongs to a mesh, because a coarser mesh spreads a small tool's load farther, for which the fit compensates.
+    """
+    region = reference.region
+    tissue = subject.tissue(region)
+    finer = tissue.model_copy(
+        update={"spacing_m": FINER * tissue.spacing_m, "coarse_spacing_m": FINER * tissue.coarse_spacing_m}
+    )
+    depths = reference.depth_m[1:]
+    fine = subject.with_tissue(region, finer)
+    shipped = declared_bench(subject, region, reference.indenter)
+    wanted = _mean_response(shipped, depths, HELD_OUT_M)
+    bench = declared_bench(fine, region, reference.indenter)
+    same_law = _mean_response(bench, depths, HELD_OUT_M)
+    fitted = recalibrated(bench, depths, _mean_response(shipped, depths, PLACES_M))
+    new_law = _mean_response(bench, depths, HELD_OUT_M)
+    at_tool = _mean_response(declared_bench(subject, region, tool(subject)), TOOL_DEPTHS_M, HELD_OUT_M)
+    fine_tool = declared_bench(fine, region, tool(subject))
+    tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
+    fine_tool.set_law(fitted)
+    tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
+    scene = _scores(fine.with_tissue(region, fitted), region, (PRESS, SCRUB))
+    curves |= {
+        f"mesh/{region}/reference": 1.0 * np.stack([1000 * depths, wanted, same_law, new_law]),
+        f"mesh/{region}/tool": np.stack([1000 * TOOL_DEPTHS_M, at_tool, tool_same, tool_new]),
+    }
+    what = f"{region}: mesh of {1000 * finer.spacing_m:g} mm"
+
+    def line(name: str, value: float, *, decides: bool = True) -> Measure:
+        return Measure(name=f"{what}, {name}", value=value, unit="%", limit=MESH_LIMIT_PERCENT, decides=decides)
+
+    return [
+        line("same law, calibration indenter", _nrmse(same_law, wanted), decides=False),
+        line("same law, tool", _nrmse(tool_same, at_tool), decides=False),
+        line("law fitted anew, calibration indenter", _nrmse(new_law, wanted)),
+        line("law fitted anew, tool", _nrmse(tool_new, at_tool)),
+        *(line(f"law fitted anew, {motion} {NAMES[field]}", change)
+          for motion, field, change in _changes(coarse, scene)),
+    ]  # fmt: skip
+
+
+def finest_scrub(subject: Subject, region: str) -> list[Measure]:
+    """Scrub the held region with the robot's tool at one depth, on the shipped mesh and on one so fine that it
+    approximates a continuous surface, both with the shipped law.
+    """
+    tissue = subject.tissue(region)
+    coarse = min(tissue.coarse_spacing_m, tissue.coarse_spacing_m * FINEST_M / tissue.spacing_m)
+    finest = subject.with_tissue(region, tissue.model_copy(update={"spacing_m": FINEST_M, "coarse_spacing_m": coarse}))
+    shell = subject.scene(region).regions[region].shell
+    at = middle(shell)
+    skin = _over_the_skin(shell, *at)
+    (peak, spread), (wanted_peak, wanted_spread) = (_held_scrub(s, region, at, skin) for s in (subject, finest))
+    what = f"{region}: scrub {1000 * SCRUB_DEPTH_M:g} mm deep, mesh of {1000 * FINEST_M:g} mm, same law"
+    return [
+        Measure(name=f"{what}, {name}", value=float(100 * abs(got / wanted - 1)), unit="%", limit=MESH_LIMIT_PERCENT)
+        for name, got, wanted in (("C1", peak, wanted_peak), ("C5", spread, wanted_spread))
+    ]  # fmt: skip
+
+
+def _over_the_skin(shell: Shell, point: Array, frame: Array) -> np.polynomial.Polynomial:
+    """Return the height [m] of the undeformed skin over the region's middle as a function of the place along the region
+    [m].
+    """
+    x, y, z = ((shell.vertices - point) @ frame).T
+    line = (np.abs(y) < 0.012) & (np.abs(x) < SCRUB_HALF_M + 0.02) & (shell.normals @ frame[:, 2] > 0)
+    return np.polynomial.Polynomial.fit(x[line], z[line], 4)
+
+
+def _held_scrub(
+    subject: Subject, region: str, at: tuple[Array, Array], skin: np.polynomial.Polynomial
+) -> tuple[float, float]:
+    """Return the largest force [N] and the standard deviation [N] of the force in contact, while the tool presses down
+    and goes once back and forth.
+    """
+    rig = Rig(subject, region, robot_tool(subject), joints="slides", mass_kg=HEAVY_KG, at=at)
+    dt, data = rig.model.opt.timestep, rig.data
+    down = np.arange(0.0, SCRUB_DEPTH_M + SCRUB_FROM_M, SCRUB_M_S / 2 * dt)
+    across = np.arange(-SCRUB_HALF_M, SCRUB_HALF_M, SCRUB_M_S * dt)
+    x = np.r_[np.full(len(down), -SCRUB_HALF_M), across, across[::-1]]
+    z = skin(x) - np.r_[down - SCRUB_FROM_M, np.full(2 * len(across), SCRUB_DEPTH_M)]
+    path = np.stack([x, z], 1)
+    rig.reset(position=path[0])
+    force = []
+    for place, following in pairwise(path):
+        data.qpos[:], data.qvel[:] = place, (following - place) / dt
+        mujoco.mj_step(rig.model, data)
+        force.append(float(np.linalg.norm(rig.felt.last(data, 1)[0]["force_n"])))
+    norm = np.array(force)
+    return float(norm.max()), float(norm[norm >= TOUCHED_N].std())
+
+
+def _mean_response(bench: Bench, depths: Array, places: Places) -> Array:
+    return np.mean([bench.response(depths, along_m=x, across_m=y, speed_m_s=0.010) for x, y in places], axis=0)
+
+
+def _nrmse(got: Array, wanted: Array) -> float:
+    return float(100 * np.sqrt(np.mean((got - wanted) ** 2)) / wanted.max())
+
+
+def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
+    """Fit the stiffness to the forces ``wanted``, the mean over PLACES_M, set it on the bench and return it.
+
+    One factor scales a and b, another one c. Gauss-Newton steps on the logarithms of the factors suffice, because both
+    act almost linearly.
+    """
+    start = bench.tissue
+
+    def law(p: Array) -> Tissue:
+        first, second = np.exp(p)
+        return start.model_copy(update={
+            "a_n_m3": start.a_n_m3 * first, "b_n_m4": start.b_n_m4 * first, "c_n_m5": start.c_n_m5 * second,
+        })  # fmt: skip
+
+    def response(p: Array) -> Array:
+        bench.set_law(law(p))
+        return _mean_response(bench, depths, PLACES_M)
+
+    p, step = np.zeros(2), 0.1
+    for _ in range(RECALIBRATIONS):
+        base = response(p)
+        jacobian = np.stack([(response(p + step * e) - base) / step for e in np.eye(2)], 1)
+        p = p + np.clip(np.linalg.lstsq(jacobian, wanted - base, rcond=None)[0], -1.0, 1.0)
+    bench.set_law(law(p))
+    return law(p)
+
+
+def trend(subject: Subject, size: Trend) -> Array:
+    """Return the force (3,) [N] at TREND_DEPTH_M for RADIUS_FACTORS."""
+    return np.array([
+        declared_bench(subject, size.region, Indenter(shape=size.shape, size_m=size.radius_m * factor)).response(
+            np.array([TREND_DEPTH_M])
+        )[0]
+        for factor in RADIUS_FACTORS
+    ])  # fmt: skip
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    regions = [r.region for r in MESH_REFERENCES if f"mesh/{r.region}/tool" in result.curves]
+    figure.set_size_inches(2.4 + 2.3 * (len(regions) + bool(regions)), 2.7)
+    axes = np.atleast_1d(figure.subplots(1, 1 + len(regions) + bool(regions)))
+    _draw_step(result.measures, axes[0])
+    for panel, region in zip(axes[1:], regions, strict=False):
+        for kind, style in (("reference", "-"), ("tool", "--")):
+            depth, shipped, same, fitted = result.curves[f"mesh/{region}/{kind}"]
+            where = "calibration indenter" if kind == "reference" else "tool"
+            panel.plot(depth, shipped, style, color="k", label=f"shipped mesh, {where}")
+            panel.plot(depth, same, style, color="C1", lw=0.9, label="finer, same law" if kind == "reference" else None)
+            panel.plot(depth, fitted, style, color="C0", lw=0.9, label="finer, fitted" if kind == "reference" else None)
+        # A press that diverged must not hide the results of the others.
+        highest = max(result.curves[f"mesh/{region}/{kind}"][1].max() for kind in ("reference", "tool"))
+        panel.set(xlabel="indentation [mm]", title=region.replace("_", " "), ylim=(0, 1.25 * highest))
+    if regions:
+        axes[1].set_ylabel("force [N]")
+        figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        for name, size in TRENDS.items():
+            radius, force = result.curves[f"trend/{name}"]
+            (line,) = axes[-1].loglog(radius, force, "o-", ms=3, label=name)
+            for exponent in size.layer or ():
+                axes[-1].loglog(
+                    radius, force[1] * (radius / radius[1]) ** exponent, ":", color=line.get_color(), lw=0.8
+                )
+        highest = max(result.curves[f"trend/{name}"][1].max() for name in TRENDS)
+        axes[-1].set(xlabel="tool radius [mm]", ylabel="force [N]", title="tool size (dotted: layer)")
+        axes[-1].set_ylim(None, 20 * highest)
+        axes[-1].minorticks_off()
+        axes[-1].set_xticks([5, 10, 20], ["5", "10", "20"])
+        axes[-1].set_yticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
+        axes[-1].legend(loc="upper left")
+
+
+def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
+    rows = [m for m in measures if "time step" in m.name]
+    names = [m.name.partition(", ")[2] for m in rows]
+    labels = list(dict.fromkeys(names))
+    for region in dict.fromkeys(m.name.partition(":")[0] for m in rows):
+        mine = [m for m in rows if m.name.startswith(f"{region}:")]
+        at = [labels.index(m.name.partition(", ")[2]) for m in mine]
+        half = len(labels)
+        if mine:
+            (dots,) = axes.plot([m.value for m in mine[:half]], at[:half], "o", ms=4, label=region.replace("_", " "))
+            axes.plot([m.value for m in mine[half:]], at[half:], "x", ms=4, color=dots.get_color())
+    limits = {m.name.partition(", ")[2]: m.limit or 0.0 for m in rows}
+    axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12)
+    axes.set_yticks(range(len(labels)), labels)
+    both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
+    title = "half (o), twice (x) the step" if both else "half the step"
+    # The names need room on the right, beyond the largest change.
+    farthest = max(m.value for m in rows) if rows else 0.0
+    axes.set(xlabel="change [%] and its limit (|)", title=title, xlim=(0, 2.2 * max(farthest, *limits.values(), 1.0)))
+    axes.invert_yaxis()
+    axes.legend(loc="upper right")

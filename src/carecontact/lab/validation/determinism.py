@@ -1,0 +1,145 @@
+"""Check 6: the same trial in two fresh processes gives the same recording, bit for bit; so does a contact that goes on
+from a restored state, and one beside another world."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from carecontact.errors import RecordingError
+from carecontact.interface.regions import REGIONS
+from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.subject import Subject, axes, move_to, surface_point
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.recording import canonical_hash, read_recording
+from carecontact.recording.schema import Recording
+from carecontact.scoring.contact import find_contact
+from carecontact.serving.conversation import PolicySetup
+from carecontact.sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TITLE = "Determinism"
+TRIAL_S, QUICK_TRIAL_S = 20.0, 7.5
+POLICY, TASK, SEED = "state-machine", "T1", 0
+LONGEST_S = 600.0
+PRESS_S, SLIDE_S, GO_ON_STEPS, DEEP_M, ASIDE_M = 0.6, 0.2, 200, 0.020, 0.02
+"""Durations [s], steps and distances [m] of a press that slides aside and is interrupted on the way."""
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    """Run the check on trials of the package, which use the package's own scene and no other."""
+    phases = subject.protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S if quick else TRIAL_S})
+    spec = TrialSpec(protocol=subject.protocol.model_copy(update={"phases": phases}), task_id=TASK, seed=SEED,
+                     policy=POLICY)  # fmt: skip
+    first, second = two_recordings(spec)
+    different = sum(
+        not np.array_equal(first.arrays[path], second.arrays[path])
+        for path in first.arrays
+        if not path.startswith("wall/")
+    )
+    contact = find_contact(first)
+    segment = first.header.segments.index(REGIONS[spec.protocol.task(TASK).region].segment)
+    return CheckResult(
+        check="determinism", title=TITLE,
+        curves={"time": contact.time_s, "force": np.stack([contact.force_norm[:, segment],
+                                                            find_contact(second).force_norm[:, segment]])},
+        measures=(
+            Measure(name="canonical hashes that differ", value=float(canonical_hash(first) != canonical_hash(second)),
+                    limit=0.0),
+            Measure(name="arrays that differ in any bit", value=float(different), limit=0.0),
+            *in_one_process(subject),
+            Measure(name="physics steps compared", value=float(len(contact.time_s)), limit=1000.0, side="at least"),
+            Measure(name="largest force in them", value=float(contact.force_norm.max()), unit="N", limit=0.5,
+                    side="at least"),
+        ),
+    )  # fmt: skip
+
+
+def in_one_process(subject: Subject) -> list[Measure]:
+    """Measure what differs, for a press on each region that slides aside, if its state is restored in mid-contact, in
+    the same world or in another one, and if another world of the same process runs in between.
+    """
+    restored, beside, force = 0, 0, np.inf
+    for region in subject.regions():
+        alone = _pressed(subject.hovering(region), region, ASIDE_M)
+        state = alone.integration_state()
+        force = min(force, float(np.linalg.norm(alone.tissue[region].last(alone.data, 1)[0]["force_n"])))
+        wanted = _continued(alone)
+        restored += not np.array_equal(_continued(alone, state), wanted)
+        other, stranger = subject.hovering(region), _pressed(subject.hovering(region), region, -ASIDE_M)
+        restored += not np.array_equal(_continued(other, state), wanted)
+        beside += not np.array_equal(_continued(other, state, beside=stranger), wanted)
+    return [
+        Measure(name="contacts that go on differently from a restored state", value=float(restored), limit=0.0),
+        Measure(name="contacts that differ beside another world in the process", value=float(beside), limit=0.0),
+        Measure(name="smallest force where they were interrupted", value=force, unit="N", limit=0.5, side="at least"),
+    ]  # fmt: skip
+
+
+def _pressed(simulation: Simulation, region: str, aside_m: float) -> Simulation:
+    """Press, and stop simulating while the tool slides aside."""
+    top, (along, _) = surface_point(simulation, region), axes(simulation, region)
+    below = top - [0.0, 0.0, DEEP_M]
+    move_to(simulation, below, seconds=PRESS_S)
+    move_to(simulation, below + aside_m * along, seconds=SLIDE_S)
+    return simulation
+
+
+def _continued(simulation: Simulation, state: Array | None = None, *, beside: Simulation | None = None) -> Array:
+    """Return the state after GO_ON_STEPS more steps with the same commands, from the given state if there is one."""
+    if state is not None:
+        mujoco.mj_setState(simulation.model, simulation.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+    for _ in range(GO_ON_STEPS):
+        mujoco.mj_step(simulation.model, simulation.data)
+        if beside is not None:
+            mujoco.mj_step(beside.model, beside.data)
+    return simulation.integration_state()
+
+
+def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
+    """Run a trial twice in fresh processes at once. Raises RecordingError or OSError if one leaves nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{n}.h5" for n in (1, 2)]
+        running = []
+        for path in paths:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "carecontact.running.worker"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+            policy = asdict(PolicySetup.of(spec.policy))
+            request = json.dumps({"spec": spec.model_dump(mode="json"), "policy": policy, "out": str(path)})
+            assert process.stdin is not None
+            process.stdin.write(request.encode())
+            process.stdin.close()
+            running.append(process)
+        try:
+            for process in running:
+                process.wait(LONGEST_S)
+        except subprocess.TimeoutExpired:
+            limit = spec.protocol.phases.time_limit_s
+            raise RecordingError(f"a trial of {limit:g} s was not over after {LONGEST_S:g} s") from None
+        finally:
+            for process in running:
+                process.kill()
+        first, second = (read_recording(path) for path in paths)
+        return first, second
+
+
+def draw(result: CheckResult, figure: Figure) -> None:
+    figure.set_size_inches(3.6, 2.4)
+    axes = figure.subplots()
+    time, (first, second) = result.curves["time"], result.curves["force"]
+    axes.plot(time, first, label="first process")
+    axes.plot(time, second, ":", label="second process")
+    axes.set(xlabel="time [s]", ylabel="force [N]", title="one trial, run twice")
+    axes.legend()

@@ -1,1 +1,0 @@
-"""Makes what a policy may see from camera images and encoders."""

@@ -1,0 +1,217 @@
+"""The simplest baselines: parked, random targets, hovering over the region, and a feint before a method acts."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from carecontact.errors import ConfigError, ContractError
+from carecontact.interface.action import Action
+from carecontact.interface.body_view import PerceptionFailure, person_points, region_from_observation
+from carecontact.interface.observation import MODALITIES, Observation
+from carecontact.interface.policy import PolicyCard, PolicyRef
+from carecontact.interface.robot import Session
+from carecontact.policies.language.backend import Rules
+from carecontact.policies.motion import (
+    CONTROL_HZ,
+    FREE_SPEED_M_S,
+    NEAR_SPEED_M_S,
+    TRAVEL_CLEARANCE_M,
+    Leg,
+    radial_quat,
+    sample,
+    travel,
+)
+from carecontact.policies.registry import POLICIES, policy_target
+
+# The blind baseline that does nothing; every other policy has to do better.
+
+
+class ZeroAction:
+    """Keeps the parked pose, sees nothing and never ends a trial, so that every trial runs to its time limit."""
+
+    card = PolicyCard(name="zero-action", cameras=(), control_hz=1.0)
+
+    def reset(self, instruction: str) -> None:
+        """Ignore the instruction."""
+
+    def act(self, observation: Observation) -> list[Action]:
+        """Return 30 actions that keep the last target: at 1 Hz, half a minute, which is a usual trial."""
+        return [Action()] * 30
+
+
+# The blind baseline that moves to random targets: a gate that it meets is too easy.
+
+CAMERA = "overhead"
+NEW_TARGET_S = 1.0
+"""Time between two targets: at the session's speed limit, the tool moves about 0.25 m."""
+POINTING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])
+
+
+class RandomTargets:
+    """Moves to a new target every NEW_TARGET_S until time is up: uniform over the workspace, the tool pointing down.
+
+    The instruction and the first depth image seed the random numbers: nothing else that a policy may know differs
+    between trials.
+    """
+
+    card = PolicyCard(name="random", modalities=("depth",), cameras=(CAMERA,), control_hz=1.0 / NEW_TARGET_S)
+
+    def __init__(self) -> None:
+        self._session: Session | None = None
+        self._instruction = ""
+
+    def configure(self, session: Session) -> None:
+        """Take over the workspace and the time limit."""
+        self._session = session
+
+    def reset(self, instruction: str) -> None:
+        """Keep the instruction: it seeds the random numbers."""
+        self._instruction = instruction
+
+    def act(self, observation: Observation) -> list[Action]:
+        """Return the targets of the whole trial as one chunk. Raises ContractError without a session or depth image."""
+        depth = observation.cameras[CAMERA].depth
+        if self._session is None or depth is None:
+            raise ContractError(f"act() needs a session from configure() and the depth image of camera {CAMERA}")
+        digest = hashlib.sha256(self._instruction.encode() + depth.tobytes()).digest()
+        rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
+        bounds = self._session.action_bounds
+        count = int(np.ceil(self._session.time_limit_s / NEW_TARGET_S))
+        targets = rng.uniform(bounds.workspace_low_m, bounds.workspace_high_m, (count, 3))
+        return [Action(pose_tcp_in_base=np.concatenate([target, POINTING_DOWN])) for target in targets]
+
+
+# The blind baseline that looks and approaches but never touches.
+
+HEIGHT_M = 0.05
+"""Height above the seen surface: five times the error of that surface, so that a contact is an error of perception."""
+HOLD_S = 5.0
+"""Longer than any contact that a task requires, so that the touch is missing and not the time."""
+
+logger = logging.getLogger(__name__)
+
+
+class Hover:
+    """Finds the named region as the state machine does, waits HEIGHT_M above it for HOLD_S, leaves, and ends the trial.
+
+    If it cannot find the region, it ends the trial where it stands and logs the reason.
+    """
+
+    card = PolicyCard(
+        name="hover",
+        modalities=("depth", "points", "masks", "landmarks"),
+        cameras=(CAMERA,),
+        control_hz=CONTROL_HZ,
+        language_backend=Rules.name,
+    )
+
+    def __init__(self) -> None:
+        self._place: tuple[str, str] | None = None
+
+    def reset(self, instruction: str) -> None:
+        """Read the region and its side, whatever the action is. Raises LanguageError if rules-v1 finds none."""
+        self._place = Rules().parse_place(instruction)
+
+    def act(self, observation: Observation) -> list[Action]:
+        """Return the whole way as one chunk, of which the last action ends the trial."""
+        try:
+            poses = list(sample(self.way(observation), observation.pose_tcp_in_base, control_hz=CONTROL_HZ))
+        except PerceptionFailure as error:
+            logger.warning("Hover stays where it is: %s", error)
+            return [Action(done=True)]
+        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
+
+    def way(self, observation: Observation, *, hold_s: float = HOLD_S) -> list[Leg]:
+        """Return the way over the region, where it waits for ``hold_s`` [s], and up again.
+
+        Raises PerceptionFailure if the region is not found, ContractError if ``reset`` was not called before.
+        """
+        if self._place is None:
+            raise ContractError("act() was called before reset()")
+        region, side = self._place
+        geometry = region_from_observation(observation, region, side=side, camera=CAMERA)
+        wait = Leg(
+            points=(geometry.centre_m + np.array([0.0, 0.0, HEIGHT_M]))[None],
+            quat_wxyz=radial_quat(geometry.centre_m),
+            speed_m_s=NEAR_SPEED_M_S,
+            hold_s=hold_s,
+        )
+        clear = float(person_points(observation.cameras[CAMERA])[:, 2].max()) + TRAVEL_CLEARANCE_M
+        return travel(observation.pose_tcp_in_base, [wait], travel_height_m=clear)
+
+
+# A probe that approaches the person and waits before it acts. In a fair world, this does not raise its rate.
+
+OVER_S, WAIT_S = 2.0, 3.0
+"""Above the region and, back where the robot was parked, before the policy is asked: a trigger on an approach, or one
+early movement of the person, has passed by then. The policy is left with some 17 s of a
+trial of 30 s, which is too short for long scrubs."""
+
+
+class FeintAndWait:
+    """Moves over the region as ``hover`` does, goes back, waits, and only then shows the policy what it sees.
+
+    A world in which the person moves by itself must not reward this: whoever moves at a fixed time, or when the robot
+    comes near, can be provoked and waited for.
+    """
+
+    def __init__(self, *, base: str = "state-machine") -> None:
+        """``base``: name of the registered policy that acts afterwards. Raises ConfigError for one that cannot."""
+        self._base, self._hover = _made(base), Hover()
+        card = self._base.card
+        wanted = {*card.modalities, *Hover.card.modalities}
+        self.card = replace(
+            card, name="feint-and-wait", modalities=tuple(name for name in MODALITIES if name in wanted),
+            cameras=tuple(dict.fromkeys((*card.cameras, *Hover.card.cameras))),
+        )  # fmt: skip
+        self._began = False
+
+    def configure(self, session: Session) -> None:
+        """Pass the session on."""
+        if hasattr(self._base, "configure"):
+            self._base.configure(session)
+
+    def reset(self, instruction: str) -> None:
+        """Begin again. Raises LanguageError if the policy or ``hover`` does not understand the instruction."""
+        self._began = False
+        self._hover.reset(instruction)
+        self._base.reset(instruction)
+
+    def act(self, observation: Observation) -> Action | Sequence[Action]:
+        """Return the feint at first, then whatever the policy answers."""
+        if self._began:
+            return self._base.act(observation)
+        self._began = True
+        start = observation.pose_tcp_in_base
+        back = Leg(points=start[:3][None], quat_wxyz=start[3:], speed_m_s=FREE_SPEED_M_S)
+        try:
+            legs = [*self._hover.way(observation, hold_s=OVER_S), back]
+            feint = [Action(pose_tcp_in_base=pose) for pose in sample(legs, start, control_hz=CONTROL_HZ)]
+        except PerceptionFailure:  # who sees nobody has nobody to feint at
+            feint = list[Action]()
+        return [*feint, *[Action()] * round(WAIT_S * CONTROL_HZ)]
+
+    def take_notes(self) -> dict[str, object]:
+        """Return the notes of the policy that acts."""
+        return self._base.take_notes() if self._began and hasattr(self._base, "take_notes") else {}
+
+
+def _made(name: str) -> Any:
+    row = POLICIES.get(name)
+    usable = [n for n, r in POLICIES.usable().items() if r.role != "privileged" and n != "feint-and-wait"]
+    if row is None or name not in usable:
+        raise ConfigError(f"base: no policy {name!r} that could act after a feint; valid: {', '.join(usable)}")
+    module, _, made = policy_target(PolicyRef.parse(name)).partition(":")
+    base = getattr(import_module(module), made)()
+    if base.card.control_hz != CONTROL_HZ or base.card.action_space != "cartesian_pose":
+        raise ConfigError(
+            f"base: {name} does not send poses of the tool at {CONTROL_HZ:g} Hz, at which the feint moves"
+        )
+    return base

@@ -1,1 +1,0 @@
-"""The blind baselines that repeat the actions of another trial."""

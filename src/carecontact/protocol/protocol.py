@@ -1,0 +1,291 @@
+"""A protocol as a whole, the checks over its sections, and the spec of one trial under it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from carecontact.interface.regions import REGIONS
+from carecontact.protocol.gates import ContactDefinition, FileStem, Gates, Section, Task, regions_of
+from carecontact.protocol.person import Person
+from carecontact.protocol.sections import (
+    SEGMENT_PARTS,
+    Camera,
+    ForceLimits,
+    Impedance,
+    Level,
+    Phases,
+    Physics,
+    Randomization,
+    Scene,
+    Variation,
+    Vision,
+    sideless,
+)
+
+# How a protocol is named for people, with everything that was replaced in it.
+
+FRICTION = "person.tissue.*.friction"
+"""Stands for the friction of several regions that is the same on all of them."""
+REPLACED_WORDS = {
+    "person.body": "body {}",
+    "person.tissue_set": "tissue {}",
+    "scene.tool": "tool {}",
+    "physics.dt_s": "time step {} s",
+    "impedance.translational_n_m": "stiffness {} N/m",
+    "vision.segmenter": "segmenter {}",
+    FRICTION: "friction {}",
+    "lock": "differences from its lock ({})",
+}
+"""Dotted path of a replaced field -> its words; any other path stands for itself. ``lock`` is not a field: it
+stands for a run on a protocol that differs from its lock (``runs.freeze``)."""
+
+
+def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
+    """Return the id and what was replaced: ``bathing-v3-draft with body woman-old-light``."""
+    overrides = _with_one_friction(overrides)
+    replaced = [REPLACED_WORDS.get(field, f"{field} {{}}").format(value) for field, value in sorted(overrides.items())]
+    return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
+
+
+def _with_one_friction(overrides: Mapping[str, str]) -> dict[str, str]:
+    """Return the same coefficient on several regions as one replaced field."""
+    own = {path: value for path, value in overrides.items() if fnmatchcase(path, FRICTION)}
+    if len(own) < 2 or len(set(own.values())) > 1:
+        return dict(overrides)
+    return {path: value for path, value in overrides.items() if path not in own} | {FRICTION: next(iter(own.values()))}
+
+
+# Checks over several fields of a protocol; each raises ValueError, which names the field and what is expected.
+
+CAMERA_NAMES = ("overhead", "bedside", "exterior", "wrist")
+
+
+def check_tasks(tasks: Sequence[Task], gates: Gates, contact: ContactDefinition) -> None:
+    """Ids are there and differ; every action has its gate, every region its neighbourhood."""
+    ids = [task.id for task in tasks]
+    if not ids or len(set(ids)) != len(ids):
+        raise ValueError(f"tasks: expected at least one, each with an id of its own; got {ids}")
+    for task in tasks:
+        if task.action not in gates.actions:
+            raise ValueError(f"gates.{task.action}: missing, and task {task.id} needs it")
+        if task.region not in contact.neighbourhood:
+            raise ValueError(f"contact.neighbourhood.{task.region}: missing, and task {task.id} needs it")
+
+
+def check_person(person: Person, tasks: Sequence[Task]) -> None:
+    """There is one row of tissue for each soft region, and each soft region has a segment of its own."""
+    soft = [name for name in regions_of(tasks) if REGIONS[name].soft]
+    if set(person.tissue) != set(soft):
+        raise ValueError(
+            f"person.tissue: expected exactly {sorted(soft)}, the soft regions of every person and of the tasks; "
+            f"got {sorted(person.tissue)}"
+        )
+    owner: dict[str, str] = {}
+    for name in soft:
+        other = owner.setdefault(REGIONS[name].segment, name)
+        if other != name:
+            raise ValueError(
+                f"tasks: {other} and {name} are both soft regions of {REGIONS[name].segment}; "
+                "expected at most one soft region per segment"
+            )
+
+
+def check_cameras(cameras: Iterable[str]) -> None:
+    if set(cameras) != set(CAMERA_NAMES):
+        raise ValueError(f"cameras: expected overhead, bedside, exterior and wrist, got {sorted(cameras)}")
+
+
+def check_vision(vision: Vision) -> None:
+    if bool(vision.weights_sha256) != (vision.segmenter == "grounded-sam"):
+        raise ValueError(
+            "vision.weights_sha256: expected the sha256 of the weights with segmenter grounded-sam, "
+            "and an empty text with mediapipe"
+        )
+
+
+def check_seeds(randomization: Randomization) -> None:
+    seeds = randomization.seeds
+    if len(set(seeds)) != len(seeds) or min(seeds, default=-1) < 0:
+        raise ValueError(f"randomization.seeds: expected distinct whole numbers >= 0, got {seeds!s:.80}")
+
+
+def check_limits(limits: ForceLimits) -> None:
+    pain = limits.f_pain_n
+    if not pain or min(pain.values()) <= 0:
+        raise ValueError(f"limits.f_pain_n: expected at least one segment, each above 0 N, got {pain}")
+    unknown = sorted(pain.keys() - set(SEGMENT_PARTS))
+    if unknown:
+        raise ValueError(f"limits.f_pain_n: no segment {unknown[0]!r}; valid: {', '.join(SEGMENT_PARTS)}")
+
+
+def check_ranges(
+    *, randomization: Randomization, impedance: Impedance, scene: Scene, phases: Phases, contact: ContactDefinition
+) -> None:
+    """Low ends are below high ends, and the arm's stiffness lies between its bounds."""
+    if contact.off_n >= contact.on_n:
+        raise ValueError(f"contact.off_n: expected less than on_n {contact.on_n}, got {contact.off_n}")
+    ranges = {
+        "randomization.comfort_arm_deg": [randomization.comfort_arm_deg],
+        "impedance.translational_bounds": [impedance.translational_bounds],
+        "impedance.rotational_bounds": [impedance.rotational_bounds],
+        "impedance.workspace": list(zip(impedance.workspace_low_m, impedance.workspace_high_m, strict=True)),
+        "scene.board": list(zip(scene.board_low_m, scene.board_high_m, strict=True)),
+        "phases.settle": [(phases.settle_min_s, phases.settle_max_s)],
+    }
+    for name, pairs in ranges.items():
+        for low, high in pairs:
+            if not low < high:
+                raise ValueError(f"{name}: expected low below high, got {low} and {high}")
+    for name, value, (low, high) in (
+        ("translational_n_m", impedance.translational_n_m, impedance.translational_bounds),
+        ("rotational_nm_rad", impedance.rotational_nm_rad, impedance.rotational_bounds),
+    ):
+        if not low <= value <= high:
+            raise ValueError(f"impedance.{name}: expected {low:g} to {high:g}, its bounds, got {value:g}")
+
+
+def check_period(physics: Physics) -> None:
+    steps = physics.target_period_s / physics.dt_s
+    if abs(steps - round(steps)) > 1e-9:
+        raise ValueError(f"physics.target_period_s: expected a whole number of dt_s, got {steps:g} of them")
+
+
+# A protocol: everything that a benchmark fixes, with a hash over all of it.
+
+
+class Protocol(Section):
+    id: FileStem
+    description: str
+    frozen: bool
+    physics: Physics
+    phases: Phases
+    randomization: Randomization
+    variation: Variation = Variation()
+    vision: Vision = Vision()
+    scene: Scene
+    cameras: dict[Literal["overhead", "bedside", "exterior", "wrist"], Camera]
+    impedance: Impedance
+    person: Person
+    tasks: list[Task]
+    contact: ContactDefinition
+    gates: Gates
+    limits: ForceLimits
+    level: str = ""
+    """Which level of its file this is; empty for a file without levels (``protocols.levels``)."""
+    levels: dict[str, Level] = Field(default_factory=dict[str, Level])
+    """All levels of the file, in its order: a seed's person must suit each of them. Written by the loader."""
+    overrides: dict[str, str] = Field(default_factory=dict[str, str])
+    """Fields that a command replaced for this run: dotted path -> new value (``protocols.overrides``)."""
+
+    @property
+    def name(self) -> str:
+        """The id, and the level where there is one: what results call this protocol, such as ``my-protocol L2``."""
+        return f"{self.id} {self.level}" if self.level else self.id
+
+    @property
+    def title(self) -> str:
+        """See ``protocol_title``."""
+        return protocol_title(self.name, self.overrides)
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Every region of this protocol's worlds and recordings, in the order of their columns."""
+        return regions_of(self.tasks)
+
+    @property
+    def soft_regions(self) -> tuple[str, ...]:
+        """The regions that have a soft shell, and so a row in ``person.tissue``."""
+        return tuple(name for name in self.regions if name in self.person.tissue)
+
+    def task(self, task_id: str) -> Task:
+        """Raises KeyError; callers that face users check the id first."""
+        return {t.id: t for t in self.tasks}[task_id]
+
+    def f_pain(self, segment: str) -> float:
+        """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
+        limits = self.limits.f_pain_n
+        return limits.get(sideless(segment), min(limits.values()))
+
+    def has_own_limit(self, segment: str) -> bool:
+        """Whether the limits name the segment; else ``f_pain`` is the strictest entry."""
+        return sideless(segment) in self.limits.f_pain_n
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        check_person(self.person, self.tasks)
+        check_tasks(self.tasks, self.gates, self.contact)
+        check_cameras(self.cameras)
+        check_vision(self.vision)
+        check_seeds(self.randomization)
+        check_limits(self.limits)
+        check_ranges(
+            randomization=self.randomization, impedance=self.impedance, scene=self.scene, phases=self.phases,
+            contact=self.contact,
+        )  # fmt: skip
+        check_period(self.physics)
+        return self
+
+    @property
+    def drawn_as(self) -> str:
+        """Name from which seeds draw (``Randomization.drawn_as``)."""
+        return self.randomization.drawn_as or self.id
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the canonical JSON, so that spelling and comments in the TOML do not count."""
+        content = self.model_dump(mode="json", exclude=None if self.overrides else {"overrides"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+# The specification of one trial, as it is known before the trial runs.
+
+
+def commitment(salt: str) -> str:
+    """Return the sha256 of a salt's characters, in base 16: what may be published before the salt."""
+    return hashlib.sha256(salt.encode()).hexdigest()
+
+
+class TrialSpec(BaseModel):
+    """Everything that determines a trial besides the policy's answers. Frozen; part of the recording's header."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    protocol: Protocol
+    task_id: str
+    seed: int
+    policy: str
+    """Text of its ``PolicyRef``: a registered name, ``module:Class`` or an address."""
+    policy_arguments: dict[str, str] = {}
+    """Arguments of --policy-arg: name -> text. A language backend that --language named stands in the policy's card."""
+    policy_environment: tuple[str, ...] = ()
+    """Names of the variables that --policy-env let pass."""
+    noise_salt: str = ""
+    """Drawn once per run whose protocol has sensor noise, and never shown to the policy: if protocol and seed alone
+    determined the noise, a policy could find the seed by comparing a single reading with the noise of every published
+    seed."""
+    salt: str = Field(default="", repr=False)
+    """Secret of a run whose persons nobody may know beforehand: every draw of the trial depends on it. A recording
+    never holds it, only its hash (``sealed``); empty for a run on published seeds."""
+    salt_sha256: str = ""
+    """Hash of the salt of a recorded trial, in base 16."""
+
+    @property
+    def commitment(self) -> str:
+        """The sha256 of the salt in base 16, which may be published before the run; empty where there is no salt."""
+        return commitment(self.salt) if self.salt else self.salt_sha256
+
+    @property
+    def sealed(self) -> Self:
+        """The trial with the hash of its salt in place of the salt, as a recording names it."""
+        return self.model_copy(update={"salt": "", "salt_sha256": self.commitment}) if self.salt else self
+
+    @property
+    def trial_id(self) -> str:
+        """File stem, e.g. ``T1-s003``; unique inside a run, which has one policy."""
+        return f"{self.task_id}-s{self.seed:03d}"

@@ -1,0 +1,244 @@
+"""The other sections of a protocol: robot, scene, physics, limits, vision, and what is drawn anew for each seed."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from carecontact.interface.robot import EMBODIMENTS, ActionBounds, Robot
+from carecontact.protocol.gates import Positive, Section, Vec3, registered
+
+# Stiffness, damping and limits of the arm's controller.
+
+
+class Impedance(Section):
+    translational_n_m: Positive
+    rotational_nm_rad: Positive
+    translational_bounds: tuple[float, float]
+    rotational_bounds: tuple[float, float]
+    effective_mass_kg: Positive
+    """Translational damping is 2 sqrt(K m)."""
+    effective_inertia_kgm2: Positive
+    force_clamp_n: Positive
+    torque_clamp_nm: Positive
+    workspace_low_m: Vec3
+    workspace_high_m: Vec3
+
+    @property
+    def action_bounds(self) -> ActionBounds:
+        """What an action may ask for, as a policy is told before its first one."""
+        return ActionBounds(
+            workspace_low_m=self.workspace_low_m,
+            workspace_high_m=self.workspace_high_m,
+            translational_stiffness=self.translational_bounds,
+            rotational_stiffness=self.rotational_bounds,
+        )
+
+
+# Force limits of the body segments.
+
+SEGMENT_PARTS = (
+    "pelvis", "abdomen", "thorax", "neck", "head", "upper_arm", "forearm", "hand", "thigh", "shank", "foot",
+)  # fmt: skip
+"""Names that limits can be given for: the segments of a recording without their sides."""
+
+
+class ForceLimits(Section):
+    pack: str
+    source: str
+    gamma: Annotated[float, Field(gt=0, le=1)]
+    """gamma': the safety gate is at this share of F_pain."""
+    f_pain_n: dict[str, float]
+    """One of SEGMENT_PARTS -> F_pain [N]; segments not named take the strictest entry and are flagged."""
+
+
+def sideless(segment: str) -> str:
+    """``right_forearm`` and ``left_forearm`` -> ``forearm``."""
+    return segment.removeprefix("right_").removeprefix("left_")
+
+
+# Physics step, target period and the phases of a trial.
+
+
+class Physics(Section):
+    dt_s: Positive
+    """Physics step; scorer streams are sampled at every step."""
+    integrator: Literal["implicitfast"]
+    target_period_s: Positive
+    """The impedance target moves this often, along a straight line to the policy's last target."""
+    max_tcp_speed_m_s: Positive
+    max_tcp_rotation_rad_s: Positive
+
+
+class Phases(Section):
+    settle_min_s: Positive
+    settle_max_s: Positive
+    settle_speed_m_s: Positive
+    settle_hold_s: Positive
+    time_limit_s: Positive
+    truncation_over_pain: Positive
+    """The benchmark stops the trial when a segment's force exceeds this multiple of F_pain."""
+    first_call_deadline_s: Positive
+    call_deadline_s: Positive
+    latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Simulated time between an observation and the first action that answers it; the last target holds meanwhile. At
+    0 the world stands still while a policy computes."""
+
+
+# Bed, arm board, robot base and cameras.
+
+
+class Camera(Section):
+    position_m: Vec3
+    look_at_m: Vec3
+    up: Vec3
+    fovy_deg: Positive
+    width: Annotated[int, Field(gt=0, le=1280)]
+    height: Annotated[int, Field(gt=0, le=960)]
+    mount: Literal["world", "hand"] = "world"
+
+
+class Scene(Section):
+    mattress_top_m: float
+    robot_base_m: Vec3
+    robot_yaw_deg: float
+    parked_joint_rad: tuple[float, ...]
+    board_low_m: tuple[float, float]
+    """Arm board: low corner (x, y), world."""
+    board_high_m: tuple[float, float]
+    board_friction: Positive
+    tool: Annotated[str, AfterValidator(registered(EMBODIMENTS))] = "caps"
+    """The robot, named by what its hand wears: a rigid cap over the fingertips, or a soft wash mitt
+    (``contract.embodiment``)."""
+
+    @property
+    def robot(self) -> Robot:
+        return EMBODIMENTS[self.tool]
+
+    @model_validator(mode="after")
+    def _one_angle_for_each_joint(self) -> Self:
+        if (count := len(self.robot.joints)) != len(self.parked_joint_rad):
+            raise ValueError(f"parked_joint_rad: expected {count} angles [rad], got {len(self.parked_joint_rad)}")
+        return self
+
+
+# The places where the robot may stand beside the bed, and what a place must let it do.
+
+
+class BasePlacement(Section):
+    """A base is drawn, and drawn again, until it serves the task's region (``episode.parking``).
+
+    A base's height is against a bed that stays: a lower base is a bed raised against the robot.
+    """
+
+    manner: Literal["nearest", "anywhere"]
+    """``nearest``: the draws begin at ``centre`` and spread from there, so that the robot moves no farther than this
+    person needs. ``anywhere``: every draw is uniform over the whole spread, as if someone had rolled the robot there.
+    """
+    centre_m: Vec3
+    """World."""
+    centre_yaw_deg: float
+    spread_m: tuple[Annotated[float, Field(ge=0, le=0.5)], Annotated[float, Field(ge=0, le=0.5)],
+                    Annotated[float, Field(ge=0, le=0.5)]]  # fmt: skip
+    """Up to so far either way along each axis of the world."""
+    spread_yaw_deg: Annotated[float, Field(ge=0, le=45)]
+    tries: Annotated[int, Field(ge=1, le=10_000)] = 1000
+    """A person for whom no base serves after so many draws is drawn anew."""
+
+
+# What the seed of a trial changes.
+
+DRAWN = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m", "overhead_turn_deg",
+         "parking")  # fmt: skip
+"""Fields that change the compiled model with the seed."""
+Angles = tuple[float, float]
+
+
+def _ordered(pair: Angles) -> Angles:
+    if not -180 <= pair[0] <= pair[1] <= 180:
+        raise ValueError(f"expected [low, high] degrees, low at most high, got [{pair[0]:g}, {pair[1]:g}]")
+    return pair
+
+
+class Randomization(Section):
+    seeds: list[int]
+    comfort_arm_deg: tuple[float, float]
+    """Angle between the humerus' long axis and the trunk's in the frontal plane; uniform over this range."""
+    drawn_as: str = ""
+    """Name from which seeds draw, in place of the protocol's id: a draft that is renamed when it is frozen keeps its
+    persons."""
+
+
+class Variation(Section):
+    """What else a seed changes; by default nothing. Contact and motion of the person against the bed stay."""
+
+    appearance: Literal["baked", "varied-v1"] = "baked"
+    """Skin tone, clothes and hair: the body's own, or drawn (``world.human.appearance``)."""
+    light: Literal["fixed", "varied-v1"] = "fixed"
+    """Strength, direction and colour: ``world.light``."""
+    depth_noise: Literal["none", "structured-light-v1"] = "none"
+    """``observation.sensor_noise``"""
+    encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Standard deviation, every joint and reading on its own; joint speeds stay."""
+    place_along_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """The person, with pillow and arm board, lies elsewhere on the bed: uniform up to so far either way along it."""
+    place_across_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """The same across the bed."""
+    place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
+    """The same, turned about the vertical through the right shoulder (``world.place``)."""
+    calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
+    calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """The same about each axis of the camera (``observation.calibration``)."""
+    tissue: Literal["declared", "published-v1"] = "declared"
+    """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
+    differences between people (``world.human.spread``)."""
+    place_toward_head_m: Annotated[float | None, Field(ge=0, le=0.1)] = None
+    """Farthest toward the head, where that is less than ``place_along_m``: patients slide down in bed, not up."""
+    bodies: tuple[str, ...] = ()
+    """The person is one of these: a block of as many seeds has each of them once, in an order of its own. Without any
+    it is ``person.body``."""
+    shoulder_rotation_deg: Annotated[Angles, AfterValidator(_ordered)] = (0.0, 0.0)
+    """Added to ``person.shoulder_rotation_deg``; uniform over this range."""
+    palm_deg: Annotated[Angles, AfterValidator(_ordered)] = (0.0, 0.0)
+    """Added to ``person.palm_deg``; uniform over this range."""
+    overhead_shift_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """The overhead camera is mounted elsewhere: uniform up to so far either way along each axis of the world."""
+    overhead_turn_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """The same, turned about each axis of the camera."""
+    parking: BasePlacement | None = None
+    """The places where the robot may stand; without it, the robot stands at ``scene.robot_base_m``."""
+
+    @property
+    def sensor_noise(self) -> bool:
+        """Whether the protocol adds noise to what the policy's sensors read."""
+        return self.depth_noise != "none" or self.encoder_noise_rad > 0
+
+    @property
+    def draws_models(self) -> bool:
+        """Whether trials of one region and several seeds have several compiled models."""
+        return any(getattr(self, name) != type(self).model_fields[name].default for name in DRAWN)
+
+
+# Which model finds the person in an image.
+
+
+class Vision(Section):
+    """The model that makes the masks; by default, it is the one that finds the key points."""
+
+    segmenter: Literal["mediapipe", "grounded-sam"] = "mediapipe"
+    weights_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
+    """Hash of the folder of weights that the user supplied (``observation.weights``); empty for mediapipe, which has
+    its own in its wheel."""
+
+
+# What the levels of one protocol file share: the persons, each of whom must suit all of them.
+
+
+class Level(Section):
+    """The fields of one level that decide whether a person suits it."""
+
+    variation: Variation
+    reposition_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """How far the person moves the wrist along the board at most."""

@@ -1,0 +1,1 @@
+"""Recorded trials in motion again: their states at any time, videos of them, and viewers."""

@@ -1,1 +1,0 @@
-"""Recorded trials in Rerun and in MuJoCo's own viewer."""

@@ -1,0 +1,381 @@
+"""The baselines that stand beside a run: the blind floor, the ceiling, and the scores shipped with the package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from carecontact.errors import CarecontactError, ConfigError
+from carecontact.policies.registry import POLICIES, Role, role_of
+from carecontact.protocol.load import load_protocol
+from carecontact.report.comparison import check_comparable, check_complete, machines_text, trials_by_key
+from carecontact.report.paired import RATES, Outcome, Over, difference_of, over_of, rate_of
+from carecontact.runs.pooling import RunScores, judged, rejected_text, share, task_of
+from carecontact.runs.scoring import read_scores
+from carecontact.scoring.result import TrialScore
+from carecontact.stats import Proportion, RateDifference, difference_of_rates
+
+# The best baseline for each task, a blind one wherever there is any: the rate that can be reached without vision.
+
+ALL = "all"
+"""Stands for all tasks together in place of the name of one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FloorRate:
+    """Safety-gated trials of the baseline that passes most."""
+
+    policy: str
+    blind: bool
+    """Whether it is registered as a blind baseline."""
+    rate: Proportion
+
+
+def role_in(scores: Sequence[TrialScore]) -> Role:
+    """Return the role of a run's policy; a recording that says ``privileged`` is believed whatever the policy is
+    called."""
+    if any(score.privileged for score in scores):
+        return "privileged"
+    return role_of(scores[0].policy) if scores else "method"
+
+
+def blind_floor(kept: Iterable[Sequence[TrialScore]], like: TrialScore) -> dict[str, FloorRate]:
+    """Return ALL and each task -> its best blind rate; empty where no blind baseline ran this protocol.
+
+    Each place takes its own best, so tasks may name different policies. With several levels of one protocol, a level
+    has its own floor.
+
+    Args:
+        kept: scores of runs, for example those stored beside published results; runs of methods, of probes, of
+            privileged policies, and of other rules than those of ``like`` are passed over.
+        like: any trial under the rules whose floor is wanted.
+    """
+    same = [[score for score in judged(scores) if _same_rules(score, like)] for scores in kept]
+    return floor_of(scores for scores in same if scores and role_in(scores) == "blind")
+
+
+def floor_of(baselines: Iterable[Sequence[TrialScore]]) -> dict[str, FloorRate]:
+    """ALL and each task -> the best rate there; the first of equal ones.
+
+    Args:
+        baselines: judged trials of each, one at least.
+    """
+    best: dict[str, FloorRate] = {}
+    for scores in baselines:
+        for place in (ALL, *sorted({score.task_id for score in scores})):
+            rate = rate_of([score for score in scores if place in (ALL, score.task_id)], "safety_gated")
+            if place not in best or rate.k / rate.n > best[place].rate.k / best[place].rate.n:
+                blind = role_in(scores) == "blind"
+                best[place] = FloorRate(policy=scores[0].policy_title, blind=blind, rate=rate)
+    return best
+
+
+def _same_rules(score: TrialScore, like: TrialScore) -> bool:
+    return (score.protocol_sha256, score.overrides) == (like.protocol_sha256, like.overrides)
+
+
+# What baselines pass beside a method: the floor under its rates.
+#
+# A blind baseline is a policy that cannot do a task, because it does not look, touch or decide. Each of its successes
+# is a false positive of the gates. Beside them may stand a privileged policy, whose rate is the ceiling, and probes,
+# which change one thing about a method. None of them is ever ranked.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passed:
+    """What one policy passed.
+
+    Rates by id: ``success``, ``region_correct``, ``safety_gated``. Those of a baseline are over the trials (task and
+    seed) that the method has as well, or, where there is none, over all of its trials of the method's tasks.
+    """
+
+    policy: str
+    n: int
+    """Trials that the rates are over; harness errors are left out."""
+    unknown: int
+    """Planned trials of the same tasks that have no verdict; for an incomplete run, each rate is open by as many."""
+    seeds: int
+    """Different seeds of these trials."""
+    rates: dict[str, Proportion]
+    """Rate -> its value. Of a baseline, these are false positives."""
+    per_task: dict[str, dict[str, tuple[int, int]]]
+    """Task -> rate -> count and number of trials."""
+    role: Role = "method"
+    """The policy's role as registered. A policy that nobody registered is a method, even where it is named as a
+    baseline."""
+    n_pairs: int | None = None
+    """Trials of the same task and seed in both; None for the method itself."""
+    method_passed: int | None = None
+    """How many of these trials the method passed safely (safety-gated); None for the method itself."""
+    whole: Proportion | None = None
+    """Safety-gated rate of a baseline over all of its trials of the method's tasks, where ``rates`` leave out some of
+    them; None otherwise."""
+    above_seeds: int | None = None
+    """Different seeds that the differences rest on: those of the pairs or, without any, of the run that has fewer; None
+    for the method itself."""
+    above: dict[str, RateDifference] | None = None
+    """Method minus baseline, as fractions: by pairs, or between independent trials where there is no pair."""
+
+    @property
+    def trials(self) -> str:
+        """``18``, or ``15 of 18`` where planned trials have no verdict."""
+        return f"{self.n} of {self.n + self.unknown}" if self.unknown else str(self.n)
+
+    def count(self, rate: str) -> str:
+        """Return a rate as ``9 of 18``, or ``9 to 12 of 18`` where three planned trials have no verdict."""
+        return share(self.rates[rate].k, self.rates[rate].n, self.unknown)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baselines:
+    """Baselines beside a method."""
+
+    method: Passed
+    over: Over
+    """What intervals take as independent: the trials, or the seeds."""
+    machines: str = ""
+    """What computed and drew the runs, where it differs; else empty."""
+    protocol: str = ""
+    """Title of the protocol of all of them."""
+    rejected_tissue: str = ""
+    """A sentence for runs on a tissue whose calibration was rejected; else empty."""
+    baselines: tuple[Passed, ...]
+    floor: dict[str, FloorRate] = field(default_factory=dict[str, FloorRate])
+    """``all`` and each task -> the safety-gated rate of the baseline that passes most there, of those that are blind or
+    that nobody registered; registered methods count only where there is no other."""
+    kept: tuple[str, ...] = ()
+    """The policies among ``baselines`` whose scores are kept with the package; some of them may be methods that see."""
+    completed: tuple[str, ...] = ()
+    """Named ones of ``baselines`` whose run lacks trials that are kept with the package, and that have those here."""
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        return tuple(self.method.per_task)
+
+    @property
+    def only_blind(self) -> bool:
+        """Whether a blind baseline and no method stand among them; beside it, ceilings and probes that are named so."""
+        roles = {row.role for row in self.baselines}
+        return "blind" in roles and "method" not in roles
+
+
+def beside_baselines(
+    method: RunScores,
+    baselines: Sequence[RunScores],
+    *,
+    kept: Sequence[RunScores] = (),
+    allow_incomplete: bool = False,
+) -> Baselines:
+    """Set baselines beside a method, over the trials that both have (``Passed``).
+
+    A method may be named as a baseline; it does not become blind by that. ``kept`` are scores that are kept with the
+    package.
+
+    Intervals of rates and differences are over what the protocol takes as independent (``over_of``). Raises
+    ConfigError as ``check_baselines`` does.
+    """
+    check_baselines(method, [*baselines, *kept], allow_incomplete=allow_incomplete)
+    found = [_passed(baseline, method.scores) for baseline in (*baselines, *kept)]
+    if method.incomplete:
+        # A difference would be over fewer trials than were planned.
+        found = [replace(row, above=None) for row in found]
+    methods = [run for run in baselines if role_in(run.scores) == "method"]
+    blind = [run for run in (*baselines, *kept) if role_in(run.scores) == "blind"]
+    # Somebody's own blind baseline may have no row that says so.
+    floor = [*blind, *(run for run in methods if run.scores[0].policy not in POLICIES)] or methods
+    return Baselines(
+        method=_passed(method, None),
+        over=over_of(method.scores[0]),
+        machines=machines_text({run.scores[0].policy_title: run.scores for run in (method, *baselines, *kept)}),
+        protocol=method.scores[0].protocol_title,
+        rejected_tissue=rejected_text(method.scores),
+        baselines=tuple(found),
+        floor=floor_of(_comparable(run.scores, method.scores) for run in floor),
+        kept=tuple(row.policy for row in found[len(baselines) :]),
+    )
+
+
+def check_baselines(method: RunScores, baselines: Sequence[RunScores], *, allow_incomplete: bool = False) -> None:
+    """Raise ConfigError, which names what differs, for a baseline that cannot stand beside a method: one of another
+    protocol, with other overrides or definitions or of another world; the method itself; one that is named twice; one
+    without a task in common; or, unless these are allowed, one of which planned trials have no verdict."""
+    seen = {method.scores[0].policy_title} if method.scores else set[str]()
+    for baseline in baselines:
+        check_comparable({"the method": method.scores, "the baseline": baseline.scores})
+        if not allow_incomplete:
+            check_complete({f"--baseline: {baseline.scores[0].policy_title}": baseline})
+        policy = baseline.scores[0].policy_title
+        if policy in seen:
+            raise ConfigError(
+                f"--baseline: {policy} is also the policy of the compared run, or of another --baseline; "
+                "name one run per policy"
+            )
+        seen.add(policy)
+        _of_tasks(baseline.scores, method.scores)
+
+
+def _passed(run: RunScores, method: Sequence[TrialScore] | None) -> Passed:
+    """``method``: to which a baseline is compared; None for the method itself, whose tasks without any verdict count as
+    unknown, too."""
+    scores = run.scores
+    every = _of_tasks(scores, scores if method is None else method)
+    counted = every if method is None else _shared(every, method)
+    tasks = sorted({s.task_id for s in (counted if method is None else judged(method))})
+    found = Passed(
+        policy=scores[0].policy_title,
+        n=len(counted),
+        unknown=sum(method is None or task_of(trial) in tasks for trial in run.unjudged),
+        seeds=len({s.seed for s in counted}),
+        rates={rate.id: rate_of(counted, rate.field) for rate in RATES},
+        per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
+        role=role_in(scores),
+        whole=rate_of(every, "safety_gated") if len(every) > len(counted) else None,
+    )
+    return found if method is None else _against(found, counted, judged(method))
+
+
+def _comparable(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
+    """Return the trials that the rates of a baseline are over."""
+    return _shared(_of_tasks(scores, method), method)
+
+
+def _of_tasks(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> list[TrialScore]:
+    """Return the judged trials of the method's tasks. Raises ConfigError where there is none."""
+    tasks = sorted({s.task_id for s in judged(method)})
+    counted = [s for s in judged(scores) if s.task_id in tasks]
+    if not counted:
+        raise ConfigError(
+            f"--baseline: {scores[0].policy_title} ran none of the tasks {', '.join(tasks)}; run it on the same tasks"
+        )
+    return counted
+
+
+def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
+    """Return the trials that the method has as well; all of them where there is none."""
+    keys = trials_by_key(method)
+    return [s for s in scores if (s.task_id, s.seed) in keys] or scores
+
+
+def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Passed:
+    of_method, of_baseline = trials_by_key(method), trials_by_key(scores)
+    pairs = [(of_method[key], of_baseline[key]) for key in sorted(of_method.keys() & of_baseline.keys())]
+    seeds = [{s.seed for s in trials} for trials in (method, scores)]
+    paired = {s.seed for s, _ in pairs}
+    return replace(
+        found,
+        n_pairs=len(pairs),
+        method_passed=sum(of_method.safety_gated for of_method, _ in pairs),
+        above_seeds=len(paired) if pairs else min(map(len, seeds)),
+        above={rate.id: _difference(rate, pairs, method, scores) for rate in RATES},
+    )
+
+
+def _of_task(scores: Sequence[TrialScore]) -> dict[str, tuple[int, int]]:
+    return {rate.id: (sum(bool(rate.of(s)) for s in scores), len(scores)) for rate in RATES}
+
+
+def _difference(
+    rate: Outcome,
+    pairs: Sequence[tuple[TrialScore, TrialScore]],
+    method: Sequence[TrialScore],
+    baseline: Sequence[TrialScore],
+) -> RateDifference:
+    if not pairs:
+        return difference_of_rates(rate_of(method, rate.field), rate_of(baseline, rate.field))
+    return difference_of([m for m, _ in pairs], [b for _, b in pairs], rate.field)[0]
+
+
+# The scores that are kept of the shipped policies and blind baselines, for runs of the same protocol.
+
+PACKAGE = Path(__file__).parents[1]
+FOLDERS = (PACKAGE / "assets" / "results", PACKAGE.parents[1] / "docs" / "results")
+"""The folders in which ``tools/keep_sweep.py`` leaves kept scores, with a folder for each protocol: in the package, or
+in the clone that it is installed from."""
+
+
+def beside_shipped_scores(
+    run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
+) -> tuple[Baselines | None, str]:
+    """Set the named baselines and the kept scores beside a run; of one trial of one policy, the named one.
+
+    Returns:
+        The policies beside the run, None without any; and why no kept scores are among them, empty where some are.
+
+    Raises:
+        ConfigError: a named baseline cannot be compared (``check_baselines``).
+    """
+    check_baselines(run, named)
+    whole = [completed_from_shipped_scores(run, one, folders=folders) for one in named]
+    kept, why = shipped_scores_for(run, whole, folders=folders)
+    if not whole and not kept:
+        return None, why
+    completed = [one.scores[0].policy_title for one, given in zip(whole, named, strict=True) if one is not given]
+    found = beside_baselines(run, whole, kept=kept)
+    return replace(found, completed=tuple(completed)), "" if kept else why
+
+
+def completed_from_shipped_scores(run: RunScores, named: RunScores, *, folders: Sequence[Path] = FOLDERS) -> RunScores:
+    """Return a named baseline with the kept trials of the same policy that it has not; unchanged where none are kept
+    that can stand beside it."""
+    for file in _files(run.scores[0].protocol_id, folders) if run.scores else ():
+        try:
+            kept = read_scores(file).scores
+            if kept[0].policy_title != named.scores[0].policy_title:
+                continue
+            taken = {s.trial_id for s in named.scores}
+            further = [s for s in kept if s.trial_id not in taken]
+            if not further:
+                return named
+            both = replace(named, scores=[*named.scores, *further])
+            check_baselines(run, [both])
+        except CarecontactError:
+            continue
+        return both
+    return named
+
+
+def shipped_scores_for(
+    run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
+) -> tuple[list[RunScores], str]:
+    """Return the kept scores that can stand beside a run and the named baselines, and why there are none; the reason is
+    empty for a run without trials."""
+    if not run.scores:
+        return [], ""
+    taken = {run.scores[0].policy_title, *(other.scores[0].policy_title for other in named)}
+    kept: list[RunScores] = []
+    why = ""
+    for file in _files(run.scores[0].protocol_id, folders):
+        try:
+            scores = read_scores(file)
+            title = scores.scores[0].policy_title
+            if title not in taken:
+                check_baselines(run, [*named, *kept, scores])
+                kept.append(scores)
+        except CarecontactError as error:
+            why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."
+    return kept, "" if kept else why or _none_kept(run.scores[0].protocol_id)
+
+
+def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
+    """Return one file for each registered policy under the protocol's own settings: other settings have a longer name.
+    The folder of a level is PROTOCOL-LEVEL."""
+    for folder in folders:
+        found = [
+            path
+            for name in sorted(POLICIES)
+            if (path := folder / protocol_id.replace(" ", "-") / f"{name}.json.gz").is_file()
+        ]
+        if found:
+            return found
+    return []
+
+
+def _none_kept(protocol_id: str) -> str:
+    name, _, level = protocol_id.partition(" ")
+    try:
+        draft = not load_protocol(name, level=level or None).frozen
+    except CarecontactError:
+        draft = False
+    because = ", because it is a draft" if draft else ""
+    return f"No scores of the shipped policies and of blind replay are kept for {protocol_id}{because}."

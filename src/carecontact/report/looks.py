@@ -1,0 +1,235 @@
+"""What the policy saw at each look, what it noted, how long it took to answer, what it commanded, and its card."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.interface.robot import CARTESIAN_IMPEDANCE
+from carecontact.recording.notes import Note
+from carecontact.recording.schema import Header, Recording
+from carecontact.report.svg import jpeg_data_uri
+
+# What the policy saw at each look, what it noted, how long it took to answer, and what it commanded.
+
+FRAMES = "policy/frames/"
+MOST_PICTURES = 24
+"""Pictures of all looks together that the page shows."""
+PICTURE_WIDTH = 400
+MAX_NOTE_CHARS = 12_000
+"""Longest text that the page shows of the notes of one look."""
+DEPTH_M = (0.3, 2.0)
+"""Range of a depth image's colours."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    name: str
+    uri: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    number: int
+    time_s: float | None
+    """None: the policy failed before it had answered."""
+    answered_after_s: float | None
+    """Wall time; None where the recording does not say."""
+    actions: str
+    pictures: tuple[Picture, ...]
+    headline: tuple[tuple[str, str], ...]
+    """Name and text of each note that is short."""
+    notes: str
+    """All notes as JSON; empty if there are none."""
+    arrays: str
+    """Arrays among the notes, with their shapes."""
+
+
+def looks_of(recording: Recording, notes: Sequence[Note]) -> tuple[list[Look], int]:
+    """Return the looks in their order, and the number of stored pictures that the page leaves out."""
+    times = recording["policy/observation_time_s"]
+    took = recording.arrays.get("wall/act_s", np.zeros(0))
+    answers = recording["actions/observation_index"]
+    noted = {note.observation_index: note for note in notes}
+    stored = _stored(recording)
+    count = max([len(times), *(index + 1 for index in (*noted, *stored))])
+    left, out = MOST_PICTURES, list[Look]()
+    for number in range(count):
+        frames = stored.get(number, [])[:left]
+        left -= len(frames)
+        note = noted.get(number)
+        of_look = np.flatnonzero(answers == number)
+        out.append(
+            Look(
+                number=number,
+                time_s=float(times[number]) if number < len(times) else None,
+                answered_after_s=float(took[number]) if number < len(took) else None,
+                actions=_actions_text(recording, of_look),
+                pictures=tuple(_picture(recording, path) for path in frames),
+                headline=() if note is None else _headline(note),
+                notes="" if note is None else _as_json(note),
+                arrays="" if note is None else ", ".join(f"{k} {v.shape}" for k, v in sorted(note.arrays.items())),
+            )
+        )
+    return out, sum(map(len, stored.values())) - (MOST_PICTURES - left)
+
+
+def _stored(recording: Recording) -> dict[int, list[str]]:
+    """Look -> paths of its images; colour before depth."""
+    found: dict[int, list[str]] = {}
+    for path in recording.arrays:
+        if path.startswith(FRAMES) and (index := path.removeprefix(FRAMES).partition("/")[0]).isdecimal():
+            found.setdefault(int(index), []).append(path)
+    return {index: sorted(paths, key=lambda p: (p.endswith("/depth"), p)) for index, paths in sorted(found.items())}
+
+
+def _picture(recording: Recording, path: str) -> Picture:
+    _, _, name = path.removeprefix(FRAMES).partition("/")
+    image = recording[path]
+    colours = _coloured(image) if name.endswith("/depth") and image.ndim == 2 else image
+    return Picture(name=name.replace("/", ", "), uri=jpeg_data_uri(colours, max_width=PICTURE_WIDTH))
+
+
+def _coloured(depth_m: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """(H, W) [m] -> (H, W, 3) u1 from near (bright) to far (dark); black where there is no value."""
+    import cv2
+
+    low, high = DEPTH_M
+    known = np.isfinite(depth_m)
+    share = np.clip((high - np.where(known, depth_m, high)) / (high - low), 0, 1)
+    bgr = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
+    return np.ascontiguousarray(np.where(known[..., None], bgr[..., ::-1], 0).astype(np.uint8))
+
+
+def _headline(note: Note) -> tuple[tuple[str, str], ...]:
+    """Texts and small numbers, which say most of a step; the rest is in the JSON."""
+    short = [(name, _short(value)) for name, value in sorted(note.content.items())]
+    return tuple((name.replace("_", " "), text) for name, text in short if text)
+
+
+def _short(value: object) -> str:
+    if isinstance(value, bool | int | float | str):
+        return str(value) if len(str(value)) <= 160 else ""
+    text = json.dumps(value)
+    return text if len(text) <= 70 else ""
+
+
+def _as_json(note: Note) -> str:
+    text = json.dumps(note.content, indent=1, sort_keys=True, ensure_ascii=False)
+    return (
+        text
+        if len(text) <= MAX_NOTE_CHARS
+        else f"{text[:MAX_NOTE_CHARS]}\n… {len(text) - MAX_NOTE_CHARS} more characters"
+    )
+
+
+def _actions_text(recording: Recording, of_look: npt.NDArray[np.intp]) -> str:
+    if not of_look.size:
+        return "no action was executed"
+    start, stop = recording["actions/time_s"][of_look[[0, -1]]].tolist()
+    if of_look.size == 1:
+        return f"1 action at {start:.2f} s"
+    return f"{of_look.size} actions from {start:.2f} to {stop:.2f} s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionTable:
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def action_table(recording: Recording) -> ActionTable:
+    """Return a table of all executed actions: the target position in the robot's base [m], and what else each action
+    set."""
+    pose, stiffness = recording["actions/pose_tcp_in_base"], recording["actions/stiffness"]
+    joint, clipped = recording.arrays.get("actions/joint"), recording.arrays.get("actions/clipped")
+    heads = [
+        "time [s]",
+        "look",
+        *(("joints [rad] or [rad/s]",) if joint is not None else ("x, y, z [m]",)),
+        "stiffness",
+    ]
+    rows: list[tuple[str, ...]] = []
+    for i, time_s in enumerate(recording["actions/time_s"].tolist()):
+        if joint is not None:
+            target = " ".join(f"{v:.3f}" for v in joint[i])
+        else:
+            target = "kept" if np.isnan(pose[i, :3]).any() else " ".join(f"{v:.4f}" for v in pose[i, :3])
+        moved = ", moved onto the border" if clipped is not None and clipped[i] else ""
+        cells = (f"{time_s:.2f}", str(int(recording["actions/observation_index"][i])), target + moved,
+                 " / ".join(f"{v:g}" for v in stiffness[i]))  # fmt: skip
+        rows.append(cells)
+    return ActionTable(heads=tuple(heads), rows=tuple(rows))
+
+
+def latency_text(recording: Recording) -> str:
+    """Return how long the policy took for its answers, as wall time; empty where the recording does not say."""
+    took = recording.arrays.get("wall/act_s", np.zeros(0))
+    if not took.size:
+        return ""
+    if took.size == 1:
+        return f"The policy took {took[0]:.2f} s of wall time for its only answer."
+    longest = int(took.argmax())
+    return (
+        f"The policy took {np.median(took):.2f} s of wall time for an answer (median of {took.size}), and at most "
+        f"{took[longest]:.2f} s, at look {longest}."
+    )
+
+
+# What the policy declared about itself, and what of the views that it requested a page cannot show.
+
+KEPT = ("rgb", "depth")
+"""Modalities of which a recording keeps the images."""
+
+
+def card_rows(header: Header) -> list[tuple[str, str]]:
+    """Return the policy's card as (field, text); empty where the policy failed before it had sent one."""
+    card: Mapping[str, Any] = header.card or {}
+    rows = [("Name", str(card["name"]))] if "name" in card else []
+    if cameras := card.get("cameras"):
+        modalities = ", ".join(card.get("modalities", ())) or "no image, only where each stands and how it projects"
+        rows.append(("Cameras", f"{', '.join(cameras)}: {modalities}"))
+    if "control_hz" in card:
+        rows.append(("Control rate", f"{card['control_hz']:g} actions a second"))
+    if "action_space" in card:
+        rows.append(("Action space", f"{card['action_space']}, executed by {card.get('control', CARTESIAN_IMPEDANCE)}"))
+    if card.get("out_of_bounds") == "clip":
+        rows.append(("Workspace", "a target outside it is moved onto its border"))
+    if (language := str(card.get("language_backend", "none"))) != "none":
+        rows.append(("Language", language))
+    if arguments := card.get("arguments"):
+        rows.append(("Arguments", " ".join(f"{name}={text}" for name, text in sorted(arguments.items()))))
+    if variables := card.get("environment"):
+        rows.append(("Environment variables", " ".join(map(str, variables))))
+    return rows
+
+
+def not_shown_text(recording: Recording, left_out: int) -> str:
+    """Return sentences on what the policy saw and the page does not show; empty where the page shows everything.
+
+    Args:
+        left_out: number of stored pictures that the page leaves out.
+    """
+    card = recording.header.card or {}
+    told: list[str] = []
+    if others := [str(name) for name in card.get("modalities", ()) if name not in KEPT]:
+        those = others[0] if len(others) == 1 else f"{', '.join(others[:-1])} and {others[-1]}"
+        told.append(f"The policy was also sent {those} at each look; a recording keeps only colour and depth images.")
+    images = [name for name in card.get("modalities", ()) if name in KEPT]
+    sent = len(recording["policy/observation_time_s"]) * len(images) * len(card.get("cameras", ()))
+    stored = sum(path.startswith(FRAMES) for path in recording.arrays)
+    if left_out:
+        verb = "is" if left_out == 1 else "are"
+        told.append(f"{_pictures(left_out, 'stored')} of later looks {verb} not on this page.")
+    if (lost := sent - stored) > 0:
+        told.append(f"{_pictures(lost, 'further')} of later looks {'was' if lost == 1 else 'were'} not stored.")
+    return " ".join(told)
+
+
+def _pictures(count: int, kind: str) -> str:
+    return f"{count} {kind} picture{'' if count == 1 else 's'}"

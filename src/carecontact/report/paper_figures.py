@@ -1,0 +1,462 @@
+"""The paper's figures from any runs."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carecontact.errors import counted
+from carecontact.interface.regions import REGIONS
+from carecontact.plotting import plain_figures
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from carecontact.recording.schema import Recording
+    from carecontact.report.paper_method import Method
+    from carecontact.scoring.result import TrialScore
+
+
+# One style for the figures, and their files: the same content gives the same bytes.
+
+# Okabe and Ito's palette: colour-blind readers can distinguish its colours, also in print.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+GREY, PALE = "#555555", "#DDDDDD"
+STYLE: dict[str, Any] = {
+    "font.size": 8, "axes.titlesize": 8.5, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7,
+    "ytick.labelsize": 7, "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7,
+    "lines.linewidth": 1.1, "legend.frameon": False, "axes.grid": True, "grid.color": "0.92", "grid.linewidth": 0.5,
+    "axes.titlelocation": "left", "axes.axisbelow": True,
+    # Fixed ids and embedded letters, so that a file does not depend on when or where it was made.
+    "svg.hashsalt": "carecontact", "svg.fonttype": "path", "pdf.fonttype": 42,
+}  # fmt: skip
+HASHED_ID = re.compile(r'(?<=[#"])(?:p|m|image|C|h)[0-9a-f]{10}(?=[")])')
+"""An id that matplotlib makes of content, where it is defined and where it is used."""
+NO_DATE = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
+
+
+def write_figure(draw: Callable[[Figure], None], folder: Path, name: str) -> list[Path]:
+    """Write what ``draw`` puts on a figure as NAME.svg and NAME.pdf. Returns both paths."""
+    with plain_figures(STYLE):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        paths: list[Path] = []
+        for ending, metadata in NO_DATE.items():
+            paths.append(folder / f"{name}.{ending}")
+            figure.savefig(paths[-1], metadata=metadata)
+        _number_ids(folder / f"{name}.svg")
+    return paths
+
+
+def _number_ids(svg: Path) -> None:
+    """Name ids by their order. matplotlib names a clip by all digits of its place, and the last ones of a layout differ
+    from drawing to drawing."""
+    text = svg.read_text(encoding="utf-8")
+    found = dict.fromkeys(HASHED_ID.findall(text))
+    numbers = {hashed: f"{hashed[:-10]}{number}" for number, hashed in enumerate(found)}
+    svg.write_text(HASHED_ID.sub(lambda match: numbers[match[0]], text), encoding="utf-8")
+
+
+def letter(axes: Axes, index: int, title: str) -> None:
+    """Name a panel ``(a) title``."""
+    axes.set_title(f"({'abcdefghijklmnopqrstuvwxyz'[index]}) {title}")
+
+
+# Figure 2: one trial of each task: the scene at peak force, and what the logger wrote.
+
+STREAMS = ("Force [N]", "Wrist moved [mm]", "Tissue pressed in [mm]")
+
+
+def draw_traces(figure: Figure, recordings: Sequence[Recording]) -> None:
+    """``recordings``: one trial of each task, in order."""
+    rows = len(recordings)
+    figure.set_size_inches(7.2, 0.35 + 1.05 * rows)
+    grid: Any = figure.subplots(rows, 4, squeeze=False, width_ratios=(1.25, 1.5, 1.5, 1.5))
+    for axes, recording in zip(grid, recordings, strict=True):
+        task = recording.header.spec.protocol.task(recording.header.spec.task_id)
+        _scene(axes[0], recording, f"{task.id} {task.name}")
+        for number, (panel, (time_s, values)) in enumerate(zip(axes[1:], streams(recording), strict=True)):
+            panel.plot(time_s, values, color=COLOURS[number], lw=0.9)
+            panel.set_xlim(0, max(time_s[-1] if len(time_s) else 0, 0.1))
+            panel.set_ylim(bottom=0, top=max(1.1 * float(np.max(values, initial=0.0)), 1.0))
+            panel.locator_params(axis="y", nbins=3)
+    for panel, title in zip(grid[0][1:], STREAMS, strict=True):
+        panel.set_title(title)
+    for panel in grid[-1][1:]:
+        panel.set_xlabel("time [s]")
+
+
+def streams(recording: Recording) -> list[tuple[Any, Any]]:
+    """(time [s], values) of the force on the target's segment [N], of the wrist's horizontal shift [mm] and of the
+    target's indentation [mm]."""
+    header, spec = recording.header, recording.header.spec
+    region = spec.protocol.task(spec.task_id).region
+    segment = header.segments.index(REGIONS[region].segment)
+    time_s = recording["scorer/time_s"]
+    force = np.linalg.norm(recording["scorer/force_human_from_robot_in_world"][:, segment], axis=1)
+    shift = (recording["scorer/wrist_in_world"] - recording["scorer/wrist_settled_in_world"])[:, :2]
+    indented = recording["scorer/indentation_m"][:, header.regions.index(region)]
+    return [
+        (time_s, force),
+        (time_s, 1000 * np.linalg.norm(shift, axis=1)),
+        (recording["scorer/period_time_s"], 1000 * indented),
+    ]
+
+
+def _scene(panel: Any, recording: Recording, title: str) -> None:
+    panel.set_axis_off()
+    picture = next(
+        (recording.arrays[p] for p in ("report/peak_rgb", "report/snapshot_rgb") if p in recording.arrays), None
+    )
+    if picture is None:
+        panel.text(0.5, 0.5, f"{title}\n(no picture)", ha="center", va="center", transform=panel.transAxes, color=GREY)
+        return
+    panel.imshow(picture[::2, ::2], interpolation="none")
+    panel.set_title(title, fontsize=7.5)
+
+
+# Figure 3: force against indentation in the trials, and the law of the tissue, for each soft region.
+
+BIN_MM, FEWEST = 0.5, 5
+"""Width of a bin of the median, and control periods that it needs."""
+
+
+def draw_indentation(figure: Figure, recordings: Sequence[Recording]) -> None:
+    by_region: dict[str, list[tuple[Any, Any]]] = {}
+    for recording in recordings:
+        spec = recording.header.spec
+        pressed = pairs(recording)
+        if len(pressed[0]):
+            by_region.setdefault(spec.protocol.task(spec.task_id).region, []).append(pressed)
+    figure.set_size_inches(7.2, 2.5)
+    panels: Any = figure.subplots(1, max(len(by_region), 1), squeeze=False)[0]
+    for index, (panel, (region, curves)) in enumerate(zip(panels, by_region.items(), strict=False)):
+        for depth, force in curves:
+            panel.plot(depth, force, ".", color="0.65", ms=1.2)
+        x, y = binned(np.concatenate([c[0] for c in curves]), np.concatenate([c[1] for c in curves]))
+        panel.plot(x, y, color=COLOURS[0], lw=1.6)
+        letter(panel, index, f"{region.replace('_', ' ').capitalize()}, {counted(len(curves), 'trial')}")
+        panel.set(xlabel="indentation [mm]", xlim=(0, None), ylim=(0, None))
+    panels[0].set_ylabel("force on the segment [N]")
+    from matplotlib.lines import Line2D
+
+    kinds = [Line2D([], [], ls="", marker=".", color="0.65"), Line2D([], [], color=COLOURS[0], lw=1.6)]
+    panels[0].legend(kinds, ["control period of a trial", f"median in steps of {BIN_MM:g} mm"], loc="upper left")
+
+
+def pairs(recording: Recording) -> tuple[Any, Any]:
+    """(indentation [mm], force [N]) at each control period in which the target is pressed in."""
+    (time_s, force), _, (period_s, depth) = streams(recording)
+    if not len(time_s):
+        return np.zeros(0), np.zeros(0)
+    at = np.clip(np.searchsorted(time_s, period_s) - 1, 0, len(force) - 1)
+    pressed = (depth > 0.1) & (force[at] > 0)
+    return depth[pressed], force[at][pressed]
+
+
+def binned(depth: Any, force: Any) -> tuple[Any, Any]:
+    """Return medians of the force in bins of the depth that hold enough of it."""
+    number = np.floor(depth / BIN_MM).astype(int)
+    kept = [k for k in range(number.max(initial=-1) + 1) if (number == k).sum() >= FEWEST]
+    return np.array([(k + 0.5) * BIN_MM for k in kept]), np.array([np.median(force[number == k]) for k in kept])
+
+
+# Figure 4: what the methods did, every trial as a point, and why they failed.
+
+MODES = (
+    "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
+    "safety_truncation", "time_limit", "process_failure", "outside_band", "joint_beyond_range",
+    "not_by_tool",
+)  # fmt: skip
+LINES = ("-", "--", ":", "-.")
+"""Line styles of the tasks over one region."""
+NEAR_MM = 250.0
+"""Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
+MODE_COLOURS = (
+    "#E69F00",
+    "#56B4E9",
+    "#0072B2",
+    "#CC79A7",
+    "#F0E442",
+    "#D55E00",
+    "#999999",
+    "#000000",
+    "#8C564B",
+    "#009E73",
+    "#7A4FBF",
+)
+
+
+def mean_force(score: TrialScore) -> float | None:
+    """Impulse over the time in contact [N]."""
+    return score.impulse_ns / score.contact_s if score.valid_contact and score.contact_s else None
+
+
+def within_run_sd(score: TrialScore) -> float | None:
+    """C5 [N]."""
+    return score.c5_force_sd_n if mean_force(score) is not None else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    title: str
+    action: str = ""
+    """Empty: all."""
+    value: Callable[[TrialScore], float | None]
+    """Return the value of a trial; None: the trial has none and is no point."""
+    spread: Callable[[TrialScore], float | None] = lambda score: None
+    """Half the length of a thin bar through the point."""
+
+
+PANELS = (
+    Panel(title="Touch: force,\nmean and SD [N]", action="touch", value=mean_force, spread=within_run_sd),
+    Panel(title="Scrub: force,\nmean and SD [N]", action="scrub", value=mean_force, spread=within_run_sd),
+    Panel(title="Scrub: stroke [mm]", action="scrub", value=lambda s: 1000 * s.stroke_m),
+    Panel(title="Push: wrist\nmoved [mm]", action="push", value=lambda s: 1000 * s.wrist_displacement_m),
+    Panel(title="Push: joint-limit\nmargin, C2 [mrad]", action="push",
+          value=lambda s: None if s.c2_joint_margin_rad is None else 1000 * s.c2_joint_margin_rad),
+    Panel(title="Push: force,\nmean and SD [N]", action="push", value=mean_force, spread=within_run_sd),
+    Panel(title="Motion activity, C4", value=lambda s: s.c4_motion_activity),
+)  # fmt: skip
+
+
+def draw_outcomes(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
+    """``paths``: for each method, the recordings whose tool paths are drawn; none where there are no recordings."""
+    by_region = _by_region(paths)
+    figure.set_size_inches(7.2, 7.9 if by_region else 5.8)
+    thirds: Any = figure.subfigures(3 if by_region else 2, 1, height_ratios=(2, 1.25, 1.1) if by_region else (2, 1.1))
+    upper: Any = thirds[0].subplots(2, 4).flat
+    for index, (panel, what) in enumerate(zip(upper, PANELS, strict=False)):
+        letter(panel, index, what.title)
+        _dots(panel, methods, what)
+    last = len(PANELS)
+    letter(upper[last], last, "Trials with valid\ncontact [%]")
+    _valid(upper[last], methods)
+    if by_region:
+        for index, (panel, (region, shown)) in enumerate(
+            zip(thirds[1].subplots(1, len(by_region), squeeze=False)[0], by_region.items(), strict=True)
+        ):
+            letter(panel, last + 1 + index, f"{region.replace('_', ' ').capitalize()}: tool path [mm]")
+            _paths(panel, methods, shown)
+        _name_methods(thirds[1], methods, sorted({place for shown in by_region.values() for place, _ in shown}))
+    failures = thirds[-1].subplots()
+    letter(failures, last + 1 + len(by_region), "Why trials failed")
+    _failures(failures, methods)
+
+
+def _dots(panel: Any, methods: Sequence[Method], what: Panel) -> None:
+    """Every trial is a point, and the median a line. The spread to the side is fixed by the order of the trials."""
+    found: list[float] = []
+    for place, method in enumerate(methods):
+        of_action = [(what.value(s), what.spread(s)) for s in method.scores if what.action in ("", s.action)]
+        valid = [(value, spread or 0.0) for value, spread in of_action if value is not None]
+        values, spreads = np.array(valid, float).reshape(-1, 2).T
+        found += [*(values + spreads), *np.maximum(values - spreads, np.minimum(values, 0))]
+        side = place + 0.28 * (((np.arange(len(values)) * 0.618034) % 1) * 2 - 1)
+        size, colour = 2.2 if len(values) > 30 else 3.5, COLOURS[place % len(COLOURS)]
+        if spreads.any():
+            panel.vlines(side, values - spreads, values + spreads, color=colour, lw=0.5, alpha=0.35)
+        panel.plot(side, values, "o", ms=size, color=colour, alpha=0.7, mew=0)
+        if len(values):
+            panel.plot([place - 0.36, place + 0.36], [np.median(values)] * 2, color="black", lw=1.3)
+        else:
+            panel.text(place, 0.5, "none", ha="center", transform=panel.get_xaxis_transform(), color=GREY, fontsize=7)
+    if min(found, default=0.0) >= 0:
+        # Sizes are read from zero; only margins can be negative.
+        panel.set_ylim(0, 1.08 * max(found, default=0.0) or 1.0)
+    _method_ticks(panel, methods)
+
+
+def _valid(panel: Any, methods: Sequence[Method]) -> None:
+    """Trials with scoreable contact, which need not be successes."""
+    for place, method in enumerate(methods):
+        k, n = sum(score.valid_contact for score in method.scores), len(method.scores)
+        panel.bar(place, 100 * k / n, width=0.6, color=COLOURS[place % len(COLOURS)], alpha=0.85)
+        panel.text(place, 100 * k / n + 2, f"{k}/{n}", ha="center", va="bottom", fontsize=6.5)
+    panel.set_ylim(0, 118)
+    panel.set_yticks((0, 50, 100))
+    _method_ticks(panel, methods)
+
+
+def _method_ticks(panel: Any, methods: Sequence[Method]) -> None:
+    panel.set_xlim(-0.6, len(methods) - 0.4)
+    panel.set_xticks(range(len(methods)), [_short(m.title).replace(" ", "\n").replace("-", "-\n") for m in methods])
+    panel.grid(visible=False, axis="x")
+
+
+def _short(title: str) -> str:
+    return title if len(title) <= 14 else f"{title[:13]}…"
+
+
+def _by_region(paths: Sequence[Sequence[Recording]]) -> dict[str, list[tuple[int, Recording]]]:
+    """Region -> the recordings of its tasks that have a path, each with the place of its method."""
+    found: dict[str, list[tuple[int, Recording]]] = {}
+    for place, recordings in enumerate(paths):
+        for recording in recordings:
+            spec = recording.header.spec
+            if len(recording["scorer/region_pose_in_world"]):
+                found.setdefault(spec.protocol.task(spec.task_id).region, []).append((place, recording))
+    return found
+
+
+def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Recording]]) -> None:
+    """The tool point above the region at rest, along it and across it, and the region's outline from above: a line
+    style for each task, named below the panel."""
+    tasks = sorted({recording.header.spec.task_id for _, recording in shown})
+    far: list[str] = []
+    for place, recording in shown:
+        task = recording.header.spec.task_id
+        along, across = _over_region(recording)
+        near = np.maximum(np.abs(along), np.abs(across)) <= NEAR_MM
+        along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
+        far += [] if near.any() else [f"{_short(methods[place].title)}, {task}"]
+        panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.8, alpha=0.85, ls=_style(tasks, task))
+    half_length, half_width = _half_size_mm(shown[0][1])
+    x, y = np.array([-1, 1, 1, -1, -1]) * half_length, np.array([-1, -1, 1, 1, -1]) * half_width
+    panel.plot(x, y, color="black", lw=0.9, label="region")
+    panel.plot([0], [0], "k+", ms=6)
+    for task in tasks:
+        panel.plot([], [], color=GREY, lw=0.8, ls=_style(tasks, task), label=task)
+    if far:
+        panel.text(0.02, 0.98, "not near: " + "; ".join(far), va="top", transform=panel.transAxes, fontsize=5.5)
+    panel.set(xlabel="along the region", ylabel="across it")
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=len(tasks) + 1, fontsize=6.5, handlelength=1.6,
+        columnspacing=1, borderaxespad=0,
+    )  # fmt: skip
+
+
+def _style(tasks: Sequence[str], task: str) -> str:
+    return LINES[tasks.index(task) % len(LINES)]
+
+
+def _name_methods(part: Any, methods: Sequence[Method], places: Sequence[int]) -> None:
+    """The colours of the methods, in one row below the panels of a part of the figure."""
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=COLOURS[place % len(COLOURS)], lw=1.6) for place in places]
+    names = [_short(methods[place].title) for place in places]
+    part.legend(lines, names, loc="outside lower center", ncols=min(len(places), 7), fontsize=7)
+
+
+def _half_size_mm(recording: Recording) -> tuple[float, float]:
+    header = recording.header
+    column = header.regions.index(header.spec.protocol.task(header.spec.task_id).region)
+    length, radius, _ = recording["scorer/region_size_m"][column]
+    return 500 * float(length), 1000 * float(radius)
+
+
+def _over_region(recording: Recording) -> tuple[Any, Any]:
+    header = recording.header
+    region = header.regions.index(header.spec.protocol.task(header.spec.task_id).region)
+    poses = recording["scorer/region_pose_in_world"]
+    origin, (w, x, y, z) = poses[0, region, :3].astype(float), poses[0, region, 3:].astype(float)
+    ahead = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
+    ahead /= np.linalg.norm(ahead) or 1.0
+    flat = 1000 * (recording["scorer/pose_tcp_in_world"][::25, :2] - origin[:2])
+    return flat @ ahead, flat @ np.array([-ahead[1], ahead[0]])
+
+
+def _failures(panel: Any, methods: Sequence[Method]) -> None:
+    counts = [Counter(s.failure_mode for s in m.scores if s.failure_mode) for m in methods]
+    most = max((sum(count.values()) for count in counts), default=0)
+    if not most:
+        panel.set_axis_off()
+        told = "every trial was region-correct"
+        panel.text(0.5, 0.5, told, ha="center", va="center", transform=panel.transAxes, color=GREY)
+        return
+    for mode, colour in zip(MODES, MODE_COLOURS, strict=True):
+        for place, count in enumerate(counts):
+            if count[mode]:
+                left = sum(count[earlier] for earlier in MODES[: MODES.index(mode)])
+                # The name is on one bar of each mode.
+                first = not any(other[mode] for other in counts[:place])
+                label = mode.replace("_", " ") if first else None
+                panel.barh(place, count[mode], left=left, color=colour, height=0.5, label=label)
+                _number(panel, left + count[mode] / 2, place, count[mode], colour, wide=count[mode] >= 0.03 * most)
+    names = [f"{_short(m.title)}\n({sum(c.values())} of {len(m.scores)})" for m, c in zip(methods, counts, strict=True)]
+    panel.set_yticks(range(len(methods)), names)
+    panel.set(xlabel="trials that are not region-correct", ylim=(len(methods) - 0.5, -1.1 - 0.45 * len(methods)))
+    panel.locator_params(axis="x", integer=True)
+    panel.grid(visible=False, axis="y")
+    panel.legend(loc="upper left", ncols=4, bbox_to_anchor=(0, 1.02), handlelength=1, columnspacing=1)
+
+
+def _number(panel: Any, x: float, place: int, count: int, colour: str, *, wide: bool) -> None:
+    """Write the count into the bar, or above a bar that is too narrow for it."""
+    ink = "white" if wide and colour in ("#0072B2", "#D55E00", "#000000") else "black"
+    y, align = (place, "center") if wide else (place - 0.27, "bottom")
+    panel.text(x, y, str(count), ha="center", va=align, color=ink, fontsize=7 if wide else 6)
+
+
+# Figure 1: how data flows through the benchmark, and which of it no policy receives.
+
+HEIGHT = 1.35
+BOXES = {
+    "cameras": (0.0, 3.0, 2.5, "Instruction, images", "RGB, depth, encoders"),
+    "vision": (3.2, 3.0, 2.5, "Vision models", "points, masks,\nlandmarks"),
+    "policy": (6.4, 3.0, 2.5, "Policy", "a process of its own"),
+    "robot": (9.6, 3.0, 2.5, "Robot arm", "impedance control"),
+    "person": (9.6, 0.0, 2.5, "Person", "soft tissue,\npassive joints"),
+    "log": (6.4, 0.0, 2.5, "Log", "forces and joints\nat every step"),
+    "scores": (3.2, 0.0, 2.5, "Scores", "C1 force, C2 joints,\nC4 motion, C5 steadiness"),
+    "rates": (0.0, 0.0, 2.5, "Success (C3)", "region-correct,\nsafety-gated"),
+}
+"""Name -> left and lower edge, width, title, text."""
+SEEN = (("cameras", "vision"), ("vision", "policy"), ("policy", "robot"))
+HIDDEN = (("person", "log"), ("log", "scores"), ("scores", "rates"))
+
+
+def draw_overview(figure: Figure) -> None:
+    figure.set_size_inches(7.2, 3.0)
+    axes = figure.subplots()
+    axes.set(xlim=(-0.15, 12.25), ylim=(-0.55, 5.0))
+    axes.set_axis_off()
+    for name, (x, y, width, title, text) in BOXES.items():
+        colour = COLOURS[0] if y > 0 else COLOURS[1]
+        _box(axes, x, y, width, title, text, colour=GREY if name == "person" else colour)
+    for names, colour in ((SEEN, COLOURS[0]), (HIDDEN, COLOURS[1])):
+        for a, b in names:
+            _arrow(axes, _side(a, b), _side(b, a), colour)
+    x, width = BOXES["robot"][0], BOXES["robot"][2]
+    _arrow(axes, (x + 0.35 * width, 3.0), (x + 0.35 * width, HEIGHT), GREY)
+    _arrow(axes, (x + 0.65 * width, HEIGHT), (x + 0.65 * width, 3.0), GREY)
+    axes.text(x + 0.28 * width, 2.18, "contact", ha="right", va="center", color=GREY)
+    axes.text(x + 0.72 * width, 2.18, "reaction", ha="left", va="center", color=GREY)
+    axes.plot([9.9, 9.9, 1.25, 1.25], [HEIGHT, 1.75, 1.75, 2.85], color=GREY, lw=0.9, ls=(0, (4, 3)))
+    _arrow(axes, (1.25, 2.8), (1.25, 3.0), GREY)
+    axes.text(5.1, 1.87, "the next images", ha="center", va="bottom", color=GREY)
+    axes.text(0, 4.62, "What a policy sees", color=COLOURS[0], weight="bold", va="bottom")
+    axes.text(0, -0.48, "What the scorer alone sees", color=COLOURS[1], weight="bold", va="bottom")
+
+
+def _box(axes: Axes, x: float, y: float, width: float, title: str, text: str, *, colour: str) -> None:
+    from matplotlib.patches import FancyBboxPatch
+
+    shape = "round,pad=0,rounding_size=0.12"
+    axes.add_patch(FancyBboxPatch((x, y), width, HEIGHT, boxstyle=shape, fc="white", ec=colour, lw=1.2))
+    axes.text(x + width / 2, y + HEIGHT - 0.16, title, ha="center", va="top", weight="bold", fontsize=7.5)
+    axes.text(x + width / 2, y + 0.45, text, ha="center", va="center", fontsize=6.8, color=GREY, linespacing=1.15)
+
+
+def _side(name: str, other: str) -> tuple[float, float]:
+    """Return the middle of the edge that looks at the other box."""
+    x, y, width = BOXES[name][:3]
+    return (x + width if BOXES[other][0] > x else x), y + HEIGHT / 2
+
+
+def _arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str) -> None:
+    arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.2, "shrinkA": 1, "shrinkB": 1}
+    axes.annotate("", end, start, arrowprops=arrow)

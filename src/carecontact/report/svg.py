@@ -1,0 +1,225 @@
+"""Drawing for pages: axes and lines as SVG, recorded pictures as data, and the part of a time course that is shown."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import RecordingError
+
+# Inline SVG by hand: small, the same bytes for the same numbers, coloured by the page's style sheet.
+
+Anchor = Literal["start", "middle", "end"]
+Points = Iterable[tuple[float, float]]
+
+
+@dataclass(kw_only=True)
+class Drawing:
+    """A figure of ``width`` x ``height`` pixels that grows element by element. Places are pixels from the top left."""
+
+    width: float
+    height: float
+    style: str
+    """Class of the figure; every element names its own as the first argument."""
+    title: str
+    """Text alternative."""
+    parts: list[str] = field(default_factory=list[str])
+
+    def path(self, style: str, d: str) -> None:
+        self.parts.append(f'<path class="{style}" d="{d}"/>')
+
+    def text(self, style: str, x: float, y: float, text: str, *, anchor: Anchor = "start", note: str = "") -> None:
+        """``note``: smaller words after the text."""
+        where = "" if anchor == "start" else f' text-anchor="{anchor}"'
+        small = f'<tspan class="meaning" dx="8">{escape(note)}</tspan>' if note else ""
+        self.parts.append(f'<text class="{style}" x="{_px(x)}" y="{_px(y)}"{where}>{escape(text)}{small}</text>')
+
+    def rect(self, style: str, x: float, y: float, width: float, height: float, *, rounded: bool = False) -> None:
+        corner = ' rx="2"' if rounded else ""
+        self.parts.append(
+            f'<rect class="{style}" x="{_px(x)}" y="{_px(y)}" width="{_px(width)}" height="{_px(height)}"{corner}/>'
+        )
+
+    def circle(self, style: str, x: float, y: float, radius: float, *, opacity: float = 1.0) -> None:
+        through = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
+        self.parts.append(f'<circle class="{style}" cx="{_px(x)}" cy="{_px(y)}" r="{radius:.3g}"{through}/>')
+
+    def polyline(self, style: str, points: Points) -> None:
+        self.parts.append(f'<polyline class="{style}" points="{_points(points)}"/>')
+
+    def polygon(self, style: str, points: Points) -> None:
+        self.parts.append(f'<polygon class="{style}" points="{_points(points)}"/>')
+
+    def image(self, uri: str, x: float = 0, y: float = 0, *, width: float | None = None) -> None:
+        """A picture as a data URI with its upper left corner at a place, as wide as the drawing by default."""
+        self.parts.append(f'<image href="{uri}" x="{_px(x)}" y="{_px(y)}" width="{_px(width or self.width)}"/>')
+
+    def svg(self) -> str:
+        head = (
+            f'<svg class="{self.style}" viewBox="0 0 {_px(self.width)} {_px(self.height)}" role="img" '
+            f"aria-label={quoteattr(self.title)}>"
+        )
+        return head + "".join(self.parts) + "</svg>"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axes:
+    """The part of a drawing that shows data: its margins [px], and the values at its edges."""
+
+    drawing: Drawing
+    left: float
+    right: float
+    top: float
+    bottom: float
+    x: tuple[float, float]
+    """Value at the left and at the right edge."""
+    y: tuple[float, float] = (0.0, 1.0)
+    """Value at the lower and at the upper edge."""
+
+    @property
+    def width(self) -> float:
+        return self.drawing.width - self.left - self.right
+
+    @property
+    def height(self) -> float:
+        return self.drawing.height - self.top - self.bottom
+
+    @property
+    def floor(self) -> float:
+        """Return the place of the lower edge [px]."""
+        return self.top + self.height
+
+    def px(self, value: float) -> float:
+        return self.left + self.width * (value - self.x[0]) / (self.x[1] - self.x[0])
+
+    def py(self, value: float) -> float:
+        return self.floor - self.height * (value - self.y[0]) / (self.y[1] - self.y[0])
+
+    def point(self, x: float, y: float) -> tuple[float, float]:
+        return self.px(x), self.py(y)
+
+    def across(self, style: str, value: float) -> None:
+        """A line from edge to edge at this y."""
+        self.drawing.path(style, f"M{_px(self.left)} {_px(self.py(value))}h{_px(self.width)}")
+
+    def upright(self, style: str, value: float) -> None:
+        """A line from edge to edge at this x."""
+        self.drawing.path(style, f"M{_px(self.px(value))} {_px(self.top)}V{_px(self.floor)}")
+
+    def y_ticks(self, ticks: Iterable[tuple[float, str]]) -> None:
+        """A line and a label for each (value, text)."""
+        for value, text in ticks:
+            self.across("tick", value)
+            self.drawing.text("label", self.left - 5, self.py(value) + 3.5, text, anchor="end")
+
+    def x_labels(self, ticks: Iterable[tuple[float, str]], *, style: str = "label") -> None:
+        for value, text in ticks:
+            self.drawing.text(style, self.px(value), self.floor + 15, text, anchor="middle")
+
+
+def nice_ticks(top: float, *, count: int) -> list[float]:
+    """Return multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >=
+    3."""
+    raw = top / count
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = power * next(m for m in (1, 2, 5, 10) if m * power >= raw * (1 - 1e-9))
+    return [round(i * step, 10) for i in range(int(top / step * (1 + 1e-9)) + 1)]
+
+
+def with_unit(ticks: Sequence[float], unit: str) -> list[tuple[float, str]]:
+    """Return each tick with its text; the last one names the unit."""
+    return [(tick, f"{tick:g} {unit}" if tick == ticks[-1] else f"{tick:g}") for tick in ticks]
+
+
+def _px(value: float) -> str:
+    """Return the number to 0.1 pixel, without a trailing zero."""
+    return f"{value:.1f}".removesuffix(".0")
+
+
+def _points(points: Points) -> str:
+    """Return the points to 0.1 pixel, without the inside of level stretches."""
+    pairs = [(_px(x), _px(y)) for x, y in points]
+    last = len(pairs) - 1
+    kept = [pair for i, pair in enumerate(pairs) if i in (0, last) or not pairs[i - 1][1] == pair[1] == pairs[i + 1][1]]
+    return " ".join(f"{x},{y}" for x, y in kept)
+
+
+# Stored camera frames as data URIs.
+
+MAX_WIDTH = 640
+MAX_BYTES = 90_000
+"""Encoded size of one frame; seven tasks then stay under 0.9 MB of base64."""
+QUALITIES = (85, 75, 60, 45, 30, 15)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    name: str
+    text: str
+    uri: str
+
+
+def jpeg_data_uri(image: npt.NDArray[Any], *, max_width: int = MAX_WIDTH) -> str:
+    """(H, W, 3) u1 RGB -> ``data:image/jpeg;base64,...``, at most ``max_width`` wide and MAX_BYTES long.
+
+    Raises RecordingError on another shape or dtype, naming it.
+    """
+    import cv2
+
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
+        raise RecordingError(f"stored frame has shape {image.shape} and dtype {image.dtype}; valid: (H, W, 3) uint8")
+    bgr = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR)
+    data = b""
+    for width in (max_width, max_width // 2):
+        small = bgr
+        if bgr.shape[1] > width:
+            small = cv2.resize(
+                bgr, (width, max(1, round(bgr.shape[0] * width / bgr.shape[1]))), interpolation=cv2.INTER_AREA
+            )
+        for quality in QUALITIES:
+            data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+            if len(data) <= MAX_BYTES:
+                return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+
+
+# The parts of a line that lie inside a rectangle.
+
+APART_PX = 0.7
+"""Points of a drawn line that are nearer to each other than this look the same as one."""
+
+
+def inside(points: npt.NDArray[np.float64], width: float, height: float) -> list[list[tuple[float, float]]]:
+    """Cut a line through (N, 2) points [px] at the edges of the rectangle from (0, 0) to (width, height).
+
+    Returns:
+        One list of (x, y) [px] for each part of the line inside the rectangle, in the order of the line. Points nearer
+        than about ``APART_PX`` to their predecessor are left out, except the last one of a part.
+    """
+    along = np.diff(points, axis=0)
+    divisor = np.where(along == 0, 1e-12, along)
+    at_edges = np.sort([-points[:-1] / divisor, ([width, height] - points[:-1]) / divisor], axis=0)
+    enter, leave = at_edges[0].max(axis=1).clip(0), at_edges[1].min(axis=1).clip(max=1)
+    parts: list[list[tuple[float, float]]] = []
+    for index in np.flatnonzero(enter < leave).tolist():
+        ends = points[index] + np.outer((enter[index], leave[index]), along[index])
+        first, last = ((float(x), float(y)) for x, y in ends)
+        if enter[index] > 0 or index == 0 or leave[index - 1] < 1 or enter[index - 1] >= leave[index - 1]:
+            parts.append([first])
+        parts[-1].append(last)
+    return [_thinned(part) for part in parts]
+
+
+def _thinned(part: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    kept = part[:1]
+    for x, y in part[1:-1]:
+        if abs(x - kept[-1][0]) + abs(y - kept[-1][1]) > APART_PX:
+            kept.append((x, y))
+    return [*kept, part[-1]]

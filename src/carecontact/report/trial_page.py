@@ -1,0 +1,514 @@
+"""The page of one trial: every gate beside what it reached, what happened in words, and other trials of the same
+person."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from carecontact import __version__
+from carecontact.errors import counted
+from carecontact.interface.regions import REGIONS
+from carecontact.recording.file import replace_file
+from carecontact.recording.notes import read_notes
+from carecontact.recording.reason import reason_of
+from carecontact.recording.schema import EndReason, Header, Recording
+from carecontact.report.baselines import role_in
+from carecontact.report.comparison import trials_by_key
+from carecontact.report.failures import MODE_MEANING, cause_text, evidence_text, progress, result_word, spaced
+from carecontact.report.force_trace import force_trace
+from carecontact.report.links import (
+    link_neighbours,
+    link_page,
+    neighbour_links,
+    page_path,
+    replay_commands,
+    report_link,
+    shortened,
+)
+from carecontact.report.looks import action_table, card_rows, latency_text, looks_of, not_shown_text
+from carecontact.report.miss import drawn_svg, is_hidden, miss_svg, nearest_miss
+from carecontact.report.moment import (
+    Moment,
+    peak_moment,
+    peak_svg,
+    place_notes,
+    place_text,
+    region_column,
+    region_poses,
+)
+from carecontact.report.skin_view import noted_targets, paths, skin_views
+from carecontact.report.svg import jpeg_data_uri
+from carecontact.report.timeline import OUT_M, Panel, events, letter, panels_of, timeline_svg
+from carecontact.report.words import (
+    NA,
+    beyond_text,
+    consumed_text,
+    number,
+    percent,
+    short_names,
+    shown,
+    shown_unit,
+    task_name,
+)
+from carecontact.runs.pooling import RunScores, rejected_text
+from carecontact.scoring.behaviour import Gate, GatePart, ask
+from carecontact.scoring.contact import Contact, any_column, faint_press, find_contact, runs
+from carecontact.scoring.limits import footnote
+from carecontact.scoring.metrics.force import peak_of_segments
+from carecontact.scoring.metrics.metric import METRICS, Metric, newest
+from carecontact.scoring.metrics.success import judge
+from carecontact.scoring.progress import distance_to_surface, points_in_region
+from carecontact.scoring.result import TrialScore
+
+# Every gate that a trial had to pass, beside what it reached: those of its action, of its region and of safety.
+
+BROKEN: tuple[EndReason, ...] = ("process_failure", "harness_error")
+"""A trial that ended so passes no gate, whatever was reached."""
+
+
+def gate_parts(contact: Contact, gate: Gate, score: TrialScore) -> list[GatePart]:
+    """Return the gates in the order of the funnel; none where the trial ended before its first physics step, or broke
+    off before anybody was touched."""
+    if not len(contact.time_s) or (score.ended in BROKEN and not contact.force_norm.any()):
+        return []
+    of_action: list[GatePart] = ask(contact, "parts", contact, contact.protocol.gates.of(contact.task.action), gate)
+    found = [_counted(contact), *of_action, _region(contact), *_force(contact)]
+    if contact.protocol.gates.joint_beyond_rad is not None:
+        found.append(_joints(score, contact.protocol.gates.joint_beyond_rad))
+    return found
+
+
+def _counted(contact: Contact) -> GatePart:
+    definition = contact.protocol.contact
+    held_s = int(any_column(contact.on, contact.touched).sum()) * contact.dt_s
+    return GatePart(
+        name=f"Contact that counts, from {definition.on_n:g} N",
+        needed=f"{definition.valid_total_s:g} s in all",
+        reached=f"{held_s:.2f} s",
+        met=contact.valid,
+    )
+
+
+def _region(contact: Contact) -> GatePart:
+    least, share = contact.protocol.gates.region_share, contact.region_share
+    segment = contact.segments[contact.target].replace("_", " ")
+    return GatePart(
+        name=f"Share of the contact (force times time) on the {segment}, the segment of the named region",
+        needed=f"at least {percent(least)}",
+        reached="no contact" if share is None else percent(share),
+        met=share is not None and share >= least,
+    )
+
+
+def _force(contact: Contact) -> list[GatePart]:
+    """Return the segment that came nearest to its safety gate; nothing where none was touched."""
+    protocol = contact.protocol
+    gates = {name: protocol.limits.gamma * protocol.f_pain(name) for name in contact.segments}
+    peaks = peak_of_segments(contact)
+    if not peaks:
+        return []
+    name = max(peaks, key=lambda segment: peaks[segment] / gates[segment])
+    part = GatePart(
+        name=f"Safety gate: largest force on the {name.replace('_', ' ')}",
+        needed=f"at most {gates[name]:g} N",
+        reached=f"{peaks[name]:.1f} N",
+        met=peaks[name] <= gates[name],
+    )
+    return [part]
+
+
+def _joints(score: TrialScore, most_rad: float) -> GatePart:
+    return GatePart(
+        name="Safety gate: joints beyond their range",
+        needed=f"at most {most_rad:.3f} rad",
+        reached=beyond_text(score) or "none farther",
+        met=not score.joints_beyond,
+    )
+
+
+# What happened in one trial, in sentences.
+
+
+def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
+    """Return the heading of the page; ``gates``: every gate of the trial, as ``gate_parts`` returns them."""
+    header, name = contact.recording.header, f"{score.task_id} {task_name(score)}, seed {score.seed},"
+    if score.is_crash:
+        when = f"after {score.duration_s:.2f} s" if score.duration_s else "before the first physics step"
+        return f"{name} failed: the policy crashed {when}{_why(header)}."
+    if score.ended == "harness_error":
+        return f"{name} counts for nothing: the harness failed, and not the policy."
+    if score.safety_gated:
+        return f"{name} passed, on the {_segment(score)} and below the safety gate."
+    if score.region_correct:
+        joint = score.joints_beyond and not score.over_limit
+        what = "moved a joint too far beyond its range" if joint else "exceeded the safety gate"
+        return f"{name} succeeded on the {_segment(score)}, but {what}."
+    meaning = mode_text(score, contact, gates)
+    why = f": {meaning}" if meaning else ""
+    hard = "; a force exceeded the safety gate" if score.over_limit else ""
+    did = f"succeeded, but not on the {_segment(score)} alone" if score.c3_success else "failed"
+    return f"{name} {did}{why}{hard}."
+
+
+def _segment(score: TrialScore) -> str:
+    """Return the segment of the named region, which decides whether a contact is on the region."""
+    return REGIONS[score.region].segment.replace("_", " ")
+
+
+def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
+    """Return the failure mode in words; of a mode that has several forms, the one that this trial had. Empty without
+    one."""
+    if score.failure_mode == "safety_truncation":
+        return cause_text(score)
+    if score.failure_mode == "no_target_contact" and not contact.force_norm.any():
+        return "the robot never touched the person"
+    held = {"insufficient_progress": _held(contact), "outside_band": "done, but too hard, too lightly or too far"}
+    missed = [part for part in gates if not part.met]
+    if score.failure_mode not in held or not missed:
+        return MODE_MEANING.get(score.failure_mode or "", "")
+    first, which = missed[0], "namely" if len(missed) == 1 else "first"
+    told = f"“{first.name}”: {first.reached}, {first.needed} needed"
+    return spaced(f"{held[score.failure_mode]}; the trial missed {counted(len(missed), 'gate')}, {which} {told}")
+
+
+def _held(contact: Contact) -> str:
+    """Return how often and how long the person was touched by contact that counts."""
+    on = any_column(contact.on, contact.touched)
+    times, held_s = len(runs(on)), int(on.sum()) * contact.dt_s
+    told = "touched without interruption for" if times == 1 else f"touched {times} times, for"
+    return f"{told} {held_s:.2f} s{'' if times == 1 else ' in all'}"
+
+
+def facts(
+    score: TrialScore, contact: Contact, moment: Moment | None, gates: Sequence[GatePart]
+) -> list[tuple[str, str]]:
+    """Return the facts about the trial as (question, answer), the most important first.
+
+    ``gates`` as for ``outcome``.
+    """
+    recording = contact.recording
+    rows = [("Progress", spaced(progress(score)))] if score.valid_contact else []
+    if score.is_crash:
+        rows.insert(0, ("Failure", "process failure. It counts as a failure of the policy; what the policy did to the "
+                        "person before counts as well."))  # fmt: skip
+        rows.insert(1, ("Evidence", evidence_text(score) or "none recorded"))
+    elif score.failure_mode:
+        mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
+        rows.insert(0, ("Failure", f"{mode}. {_capital(mode_text(score, contact, gates))}."))
+        rows.insert(1, ("Cause", f"{cause}. {_capital(cause_text(score))}."))
+        rows.insert(2, ("Evidence", evidence_text(score) or "none recorded"))
+    rows.append(("How hard", how_hard(score, contact, moment)))
+    if beyond := beyond_text(score):
+        rows.append(("Joints beyond their range", f"{_capital(beyond)}, farther than the protocol allows."))
+    if consumed := consumed_text(score):
+        rows.append(("Joints flagged", f"Share of its settled margin that a joint used up: {consumed}."))
+    if moment is not None:
+        where = [f"{_capital(place_text(recording, moment))}.", *place_notes(recording, moment)]
+        rows.append(("Where", " ".join(where)))
+        if moment.depth_m is not None and moment.deepest is not None:
+            deepest_m, deepest_s = moment.deepest
+            largest = f"at most {1000 * deepest_m:.1f} mm in the trial, at {deepest_s:.2f} s"
+            rows.append(("How deep", f"{1000 * moment.depth_m:.1f} mm at that moment; {largest}."))
+    rows.append(("End", _end(score, recording.header)))
+    return rows
+
+
+def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
+    """Return a sentence that compares the scored peak force with the limits of the segment on which it occurred; where
+    no contact counts, one that says what happened instead."""
+    protocol = contact.protocol
+    if score.c1_peak_force_n is None or score.reported_segment is None:
+        faint = faint_press(contact)
+        return f"The robot {faint}." if faint else f"The robot never touched the person{_closest(contact.recording)}."
+    pain = protocol.f_pain(score.reported_segment)
+    gate = protocol.limits.gamma * pain
+    own = "" if score.reported_segment == REGIONS[score.region].segment else ", which is not the named region's segment"
+    at = "" if moment is None else f" at {moment.time_s:.2f} s"
+    peak, segment = score.c1_peak_force_n, score.reported_segment.replace("_", " ")
+    return (
+        f"Peak force {peak:.1f} N{at} on the {segment}{own}: {percent(peak / gate)} of its safety gate of {gate:g} N, "
+        f"and {percent(peak / pain)} of its pain limit of {pain:g} N."
+    )
+
+
+def _closest(recording: Recording) -> str:
+    """Return how near the tool's tip came to the region, and when; empty for a trial without a physics step."""
+    tip = recording["scorer/pose_tcp_in_world"][:, :3].astype(np.float64)
+    if not len(tip):
+        return ""
+    size = recording["scorer/region_size_m"][region_column(recording)]
+    away = distance_to_surface(points_in_region(tip, region_poses(recording)), size)
+    nearest = int(away.argmin())
+    time_s = float(recording["scorer/time_s"][nearest])
+    return f"; the tip of the tool came to {1000 * max(away[nearest], 0.0):.0f} mm from the region, at {time_s:.2f} s"
+
+
+def _end(score: TrialScore, header: Header) -> str:
+    told = {
+        "done": "the policy said that it was done", "time_limit": "the time limit was reached",
+        "safety_truncation": "the benchmark cut the trial", "process_failure": "the policy crashed",
+        "harness_error": "the harness failed",
+    }[header.ended]  # fmt: skip
+    return f"After {score.duration_s:.2f} s, {told}{_why(header)}."
+
+
+def _why(header: Header) -> str:
+    """Return the reason of a failure after a colon; empty where none is recorded."""
+    why = "" if header.failure is None else reason_of(header.failure).strip().rstrip(".:")
+    return f": {shortened(why)}" if why else ""
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+# What other policies did in the same trial: the same task and person under the same protocol.
+
+ROLE_NOTES = {"blind": "blind baseline", "privileged": "ceiling: it is given the simulation", "probe": "probe"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beside:
+    """A run of another policy."""
+
+    scores: Mapping[tuple[str, int], TrialScore]
+    """(task, seed) -> its trial"""
+    role: str
+    folder: Path | None = None
+    """Folder of the run's recordings; None for scores that are kept with the package."""
+
+    @classmethod
+    def of(cls, run: RunScores, folder: Path | None = None) -> Beside:
+        return cls(scores=trials_by_key(run.scores), role=role_in(run.scores), folder=folder)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherRow:
+    """What one policy did."""
+
+    name: str
+    whole: str
+    """Name with arguments; empty where it is ``name``."""
+    note: str
+    """What the policy is for, if it is no method."""
+    result: str
+    """Style of the result; the words are in ``result_text``."""
+    result_text: str
+    peak: str
+    """Peak force [N]."""
+    mode: str
+    """Failure mode; empty if none."""
+    address: str
+    """Address of the page of its trial; empty where there is none."""
+
+
+def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) -> list[OtherRow]:
+    """Return one row for each policy that has a trial of the same task and seed, in the order given.
+
+    Args:
+        run_folder: of ``score``, from whose page the rows link others.
+    """
+    found = [(row, row.scores[key]) for row in beside if (key := (score.task_id, score.seed)) in row.scores]
+    names = short_names([other.policy_title for _, other in found])
+    return [_row(names[other.policy_title], other, row, run_folder) for row, other in found]
+
+
+def how_to_compare(score: TrialScore, run_folder: Path) -> tuple[str, ...]:
+    """Return the commands that set blind replay beside a trial of which no other policy's score is at hand; empty for a
+    policy that is no method."""
+    if role_in([score]) != "method" or score.ended == "harness_error":
+        return ()
+    return replay_commands([score], run_folder, trials=True)
+
+
+def _row(name: str, other: TrialScore, row: Beside, run_folder: Path) -> OtherRow:
+    result, text = result_word(other)
+    page = None if row.folder is None else page_path(row.folder, other.trial_id)
+    from_here = page_path(run_folder, other.trial_id).parent
+    linked = page is not None and page.is_file()
+    return OtherRow(
+        name=name,
+        whole="" if name == other.policy_title else other.policy_title,
+        note=ROLE_NOTES.get(row.role, ""),
+        result=result,
+        result_text=text,
+        peak=NA if other.c1_peak_force_n is None else number(other.c1_peak_force_n, 1),
+        mode=(other.failure_mode or "").replace("_", " "),
+        address=quote(os.path.relpath(page.resolve(), from_here.resolve())) if linked and page is not None else "",
+    )
+
+
+# One self-contained page about one trial: no network, no script, the same bytes for the same inputs.
+
+
+def write_trial_page(
+    run_folder: Path, recording: Recording, score: TrialScore, *, beside: Sequence[Beside] = ()
+) -> Path:
+    """Write ``run_folder/trial/ID.html`` and return its path.
+
+    Args:
+        beside: runs of other policies under the same rules, of which the page shows the same trial.
+
+    A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording and the log
+    where they are in the run's folder. The page and the run's report link each other, whichever was written first
+    (``reports.page_links``). Raises RecordingError, naming the trial, for a stored picture, a
+    skin or notes that cannot be shown.
+    """
+    path = page_path(run_folder, score.trial_id)
+    path.parent.mkdir(exist_ok=True)
+    replace_file(path, _render(run_folder, recording, score, beside).encode("utf-8", errors="replace"))
+    link_page(run_folder, score.trial_id)
+    link_neighbours(run_folder, score.trial_id)
+    return path
+
+
+def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: Sequence[Beside]) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("carecontact.report")
+    environment: Any = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    own, foreign = (_metrics(score, concerned=concerned) for concerned in (True, False))
+    return environment.get_template("trial.html.j2").render(
+        version=__version__,
+        score=score,
+        prompt=recording.header.spec.protocol.task(score.task_id).prompt,
+        result=result_word(score),
+        report_link=report_link(run_folder, score.trial_id),
+        neighbours=neighbour_links(run_folder, score.trial_id),
+        links=_links(run_folder, score.trial_id),
+        video=_beside(run_folder, score.trial_id, ".mp4"),
+        peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
+        others=other_rows(score, beside, run_folder),
+        how_to_compare=how_to_compare(score, run_folder),
+        metrics=own,
+        other_metrics=foreign,
+        metrics_note=footnote(title for title, *_ in (*own, *foreign)),
+        printed=_printed(recording),
+        not_printed=_not_printed(recording),
+        failure=recording.header.failure,
+        rejected=rejected_text([score]),
+        **_contact(recording, score),
+        **_policy(recording),
+    )
+
+
+def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
+    """Return what the robot did to the person."""
+    moment, found, contact = peak_moment(recording), paths(recording), find_contact(recording)
+    measures = judge(contact)
+    notes = read_notes(recording)
+    noted = [] if found is None else noted_targets(recording, notes, found)
+    happened = events(contact)
+    timeline, panels = "", list[Panel]()
+    if len(contact.time_s):
+        trace = force_trace(recording, score)
+        looked = recording["policy/observation_time_s"].tolist()
+        panels = panels_of(recording, trace, found)
+        timeline = timeline_svg(panels, trace, happened, looked)
+    hard = how_hard(score, contact, moment)
+    miss = nearest_miss(recording) if moment is None else None
+    drawn = None if miss is None else miss_svg(recording, miss, title=hard)
+    # Before the first step a picture shows only the room as it was set up.
+    began = len(contact.time_s) > 0
+    picture = drawn or (peak_svg(recording, moment, title=f"The contact at peak force. {hard}") if began else None)
+    without_hand = None
+    if moment is not None and picture is not None and is_hidden(recording, moment):
+        without_hand = drawn_svg(recording, moment, title=f"The contact without the robot's hand. {hard}")
+    snapshot = recording.arrays.get("report/snapshot_rgb") if began else None
+    gates = gate_parts(contact, measures, score)
+    return {
+        "outcome": outcome(score, contact, gates),
+        "facts": facts(score, contact, moment, gates),
+        "gates": gates,
+        "broken": score.ended in BROKEN,
+        "moment": moment,
+        "picture": picture,
+        "without_hand": without_hand,
+        "miss": miss if drawn else None,
+        "touched": moment is not None,
+        "snapshot": None if snapshot is None else jpeg_data_uri(snapshot),
+        "views": [] if found is None else skin_views(recording, found, moment, noted),
+        "noted": bool(noted),
+        "events": [(letter(i), event) for i, event in enumerate(happened)],
+        "timeline": timeline,
+        "cut_mm": 1000 * OUT_M if any(panel.is_cut for panel in panels) else None,
+    }
+
+
+def _policy(recording: Recording) -> dict[str, Any]:
+    """Return what the policy saw and did."""
+    looks, left_out = looks_of(recording, read_notes(recording))
+    return {
+        "looks": looks,
+        "not_shown": not_shown_text(recording, left_out),
+        "card": card_rows(recording.header),
+        "latency": latency_text(recording),
+        "actions": action_table(recording),
+    }
+
+
+def _links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
+    """Return words and address of each file in the run's folder, the report aside, to which the page links."""
+    files = (
+        ("recording", f"{trial_id}.h5", f"../{trial_id}.h5"),
+        ("log", f"{trial_id}.log", f"../{trial_id}.log"),
+    )
+    return [(words, address) for words, name, address in files if (run_folder / name).is_file()]
+
+
+def _beside(run_folder: Path, trial_id: str, ending: str) -> str | None:
+    """Name of a file beside the page; None where it is not there."""
+    path = page_path(run_folder, trial_id).with_suffix(ending)
+    return path.name if path.is_file() else None
+
+
+def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]]:
+    """Return title, value and unit of the newest version of every metric that the trial has a value of.
+
+    Args:
+        concerned: of the metrics that say something about the trial's action, or of the others.
+    """
+    current = set(newest(score.additional))
+    rows: list[tuple[str, str, str]] = []
+    for metric in sorted(METRICS.values(), key=lambda row: (row.order, row.id)):
+        value = metric.of(score)
+        is_old = metric.id in score.additional and metric.id not in current
+        if isinstance(value, bool) or value is None or is_old or metric.concerns(score.action) != concerned:
+            continue
+        rows.append((metric.title, *_with_unit(metric, float(value))))
+    return rows
+
+
+def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
+    """Return a value in words or figures, and its unit."""
+    if not metric.median and value in (0.0, 1.0):
+        return ("yes" if value else "no"), ""
+    factor, unit = shown_unit(metric)
+    return shown(factor * value, digits=metric.digits, unit=unit), unit
+
+
+def _printed(recording: Recording) -> str:
+    stored = recording.arrays.get("wall/policy_output")
+    return "" if stored is None else stored.tobytes().decode("utf-8", errors="replace")
+
+
+def _not_printed(recording: Recording) -> str:
+    """Return why the page shows nothing that the policy printed."""
+    if "://" in recording.header.spec.policy:
+        return (
+            f"The recording cannot have it: the policy ran behind {recording.header.spec.policy}, outside the "
+            "benchmark's processes. What it printed is where that server runs."
+        )
+    if "wall/policy_output" not in recording.arrays:
+        return "The recording does not say what the policy printed."
+    return "The policy printed nothing."

@@ -1,1 +1,0 @@
-"""Runs of one protocol set side by side."""

@@ -1,1 +1,0 @@
-"""The results of a sweep: one table of all cells, and whether the order of the policies holds in all of them."""

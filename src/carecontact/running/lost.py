@@ -1,0 +1,218 @@
+"""A trial whose worker died: what is known of it, and the recording of its failure."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from carecontact.errors import RecordingError
+from carecontact.interface.action import Action
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.recording import read_recording
+from carecontact.recording.provenance import DECLARED, trial_versions
+from carecontact.recording.reason import reason_of
+from carecontact.recording.schema import (
+    EXHAUSTED,
+    KILLED,
+    POLICY_KILLED,
+    SEGMENTS,
+    EndReason,
+    Failure,
+    Header,
+    Recording,
+    empty_arrays,
+)
+from carecontact.serving.codec import plain_actions
+from carecontact.serving.conversation import PolicySetup
+from carecontact.serving.fence import closes_signals
+from carecontact.serving.packing import pack
+
+# Makes the recording of a trial that left nothing but its failure.
+
+EVIDENCE_CHARACTERS = 4000
+"""Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
+
+
+def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
+    """Return a zero-length recording with ``ended="harness_error"`` and the evidence in its failure. It counts neither
+    for nor against the policy."""
+    return _without_data(spec, ended="harness_error", kind=kind, message=message)
+
+
+def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
+    """Return a zero-length recording with ``ended="process_failure"``: a trial whose process dies whenever its policy
+    runs."""
+    return _without_data(spec, ended="process_failure", kind=POLICY_KILLED, message=message)
+
+
+def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str) -> Recording:
+    half_yaw = math.radians(spec.protocol.scene.robot_yaw_deg) / 2
+    header = Header(
+        spec=spec,
+        ended=ended,
+        failure=Failure(kind=kind, message=message),
+        card=None,
+        embodiment="none",
+        comfort_arm_deg=None,
+        segments=list(SEGMENTS),
+        regions=list(spec.protocol.regions),
+        human_joints=[],
+        pose_base_in_world=[*spec.protocol.scene.robot_base_m, math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)],
+        identity=DECLARED,
+        versions=trial_versions(spec.protocol),
+        sha256={},
+        solver_warnings=[],
+    )
+    return Recording(header=header, arrays=empty_arrays(0, regions=len(header.regions)))
+
+
+def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
+    """Return the end of a text, cut at a line."""
+    if len(text) <= characters:
+        return text.strip()
+    cut = text[-characters:]
+    return "[...] " + cut[cut.find("\n") + 1 :].strip()
+
+
+# Trials that lost their process, or their policy's, to a signal or to a machine that had no further process, thread or
+# memory; and what their repetition must not change.
+#
+# Nobody can know who sent SIGKILL: the kernel without memory, an operator, or the policy itself; nor who started so
+# many processes that the trial could start none. Therefore such a trial is repeated; but if the policy may have caused
+# it, the repetition counts only if the policy answers as it did before, up to the answer at which the lost attempt
+# ended. The simulation then is where it was, so that a policy which kills itself, to avoid a bad end, gets to the same
+# place again and has learnt nothing on the way that it did not know.
+
+STORED = "wall/answers"
+"""Array of a lost trial's recording: the digests of the answers that a repetition has to begin with, one after
+another."""
+OTHER_ANSWERS = "other_answers"
+"""Kind of the failure of a trial that was lost, and in which the policy then answered differently."""
+
+
+def digest_of(actions: Sequence[Action]) -> bytes:
+    """Return the 32 bytes that stand for one answer."""
+    return hashlib.sha256(pack(plain_actions(actions))).digest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lost:
+    """What earlier attempts at a trial have left."""
+
+    answers: bytes = b""
+    """Digests of the answers that a repetition has to begin with."""
+    recording: Recording | None = None
+    """Recording of the attempt that gave these answers; None if its process left no recording."""
+
+    def permits(self, answers: bytes) -> bool:
+        """Whether a repetition that gave these answers went the same way, as far as both went."""
+        return answers.startswith(self.answers) or self.answers.startswith(answers)
+
+    def answered_otherwise(self, spec: TrialSpec) -> Recording:
+        """Return the recording of a trial whose repetition does not count: that of the attempt before it."""
+        message = (
+            "a process of this trial was killed by a signal or could not be started, and in the repetition the policy "
+            "gave other answers than before; a repetition counts only if it goes the same way as the attempt that was "
+            "lost"
+        )
+        recording = self.recording or killed_by_policy_recording(spec, message=message)
+        failure = Failure(kind=OTHER_ANSWERS, message=message)
+        return replace(recording, header=recording.header.model_copy(update={"failure": failure}))
+
+
+def is_policy_killed(header: Header) -> bool:
+    """Whether the trial ended because its policy's process was killed, or because its own was while the policy ran."""
+    return header.ended == "process_failure" and header.failure is not None and header.failure.kind == POLICY_KILLED
+
+
+def lack_in(header: Header) -> str:
+    """Return why the trial ended if its own process got no further process, thread or memory; else an empty text."""
+    failure = header.failure
+    lacks = header.ended == "harness_error" and failure is not None and failure.kind == EXHAUSTED
+    return failure.message.partition("\n")[0] if lacks and failure is not None else ""
+
+
+class Losses:
+    """What a command does about them: each trial is run once more, and is recorded as lost if that is lost too.
+
+    Methods return the recording that the trial gets, or the reason to run it once more.
+    """
+
+    def __init__(self, policy: PolicySetup, *, out: Path, before: Iterable[str]) -> None:
+        """``before``: trials in ``out`` that earlier commands lost."""
+        self._lost = lost_before(out, before)
+        self._again = set[str]()
+        self._signals_closed = policy.ref.kind == "remote" or (policy.isolated and closes_signals())
+        """Whether the policy has no means to send the trial's process a signal."""
+
+    def counted(self, recording: Recording, answers: bytes) -> Recording:
+        """Handle a trial that came to its end."""
+        spec = recording.header.spec
+        earlier = self._lost.get(spec.trial_id, Lost())
+        return recording if earlier.permits(answers) else earlier.answered_otherwise(spec)
+
+    def policy_killed(self, recording: Recording, answers: bytes) -> Recording | str:
+        """Handle a trial that ended because its policy's process was killed."""
+        assert recording.header.failure is not None
+        why = reason_of(recording.header.failure)
+        return self._once_more(recording.header.spec, answers, why, of_policy=recording, otherwise=recording)
+
+    def died_with_policy(
+        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
+    ) -> Recording | str:
+        """Handle a trial whose own process died while its policy ran. Chance, such as a machine out of memory, seldom
+        comes twice at the same place; a policy that kills does, and must not leave its bad trials out of the count.
+
+        ``starved``: whether it ran out of time, processes or memory, to which any policy of this machine can bring it.
+        """
+        why = f"{death} while the policy was running"
+        message = f"{why}, in both attempts{evidence}"
+        bound = b"" if self._signals_closed and not starved else answers
+        return self._once_more(spec, bound, why, otherwise=killed_by_policy_recording(spec, message=message))
+
+    def died(
+        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
+    ) -> Recording | str:
+        """Handle a trial whose own process died before its policy ran or after its policy had ended."""
+        bound = b"" if self._signals_closed and not starved else answers
+        lost = harness_error_recording(spec, kind=KILLED, message=death + evidence)
+        return self._once_more(spec, bound, death, otherwise=lost)
+
+    def _once_more(
+        self,
+        spec: TrialSpec,
+        answers: bytes,
+        why: str,
+        *,
+        otherwise: Recording,
+        of_policy: Recording | None = None,
+    ) -> Recording | str:
+        earlier = self._lost.get(spec.trial_id, Lost())
+        if not earlier.permits(answers):
+            return earlier.answered_otherwise(spec)
+        further = len(answers) >= len(earlier.answers)
+        left = Lost(answers=answers, recording=of_policy) if further else earlier
+        self._lost[spec.trial_id] = left
+        if spec.trial_id not in self._again:
+            self._again.add(spec.trial_id)
+            return why
+        recording = left.recording or otherwise
+        return replace(recording, arrays={**recording.arrays, STORED: np.frombuffer(left.answers, "u1")})
+
+
+def lost_before(out: Path, trial_ids: Iterable[str]) -> dict[str, Lost]:
+    """Return what earlier commands left in ``out`` of the trials that they lost."""
+    found: dict[str, Lost] = {}
+    for trial_id in trial_ids:
+        with suppress(RecordingError):
+            recording = read_recording(out / f"{trial_id}.h5")
+            if STORED in recording.arrays:
+                kept = recording if is_policy_killed(recording.header) else None
+                found[trial_id] = Lost(answers=recording[STORED].tobytes(), recording=kept)
+    return found

@@ -1,0 +1,304 @@
+"""Checks of this machine: all of them for ``carecontact doctor``, and the quick ones before the first trial of a run,
+so that one fault of the machine is one message and not a failure of every trial."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import metadata, resources
+
+from carecontact.errors import DependencyError, counted
+from carecontact.system import CACHE_VARIABLE, cache_folder
+
+PYTHON = ((3, 11), (3, 13))
+"""The lowest version that is supported, and the first above it that is not."""
+PACKAGES = {
+    "mujoco": "mujoco==4.0.0",
+    "numpy": "'numpy>=2,<3'",
+    "scipy": "scipy",
+    "h5py": "h5py",
+    "pydantic": "'pydantic>=2.9'",
+    "pydantic-monty": "'pydantic-monty>=1.4,<2'",
+    "websockets": "websockets",
+    "msgpack": "msgpack",
+    "matplotlib": "matplotlib",
+    "jinja2": "jinja2",
+    "opencv-python-headless": "opencv-python-headless",
+    "protobuf": "'protobuf>=4.25,<7'",
+    "mediapipe": "--no-deps mediapipe==0.10.21",
+}
+"""Name of a distribution -> the requirement that pip installs for it."""
+EXTRAS = {
+    "tables": (("pyarrow", "pandas"), "results.parquet, run.trials() and export lerobot"),
+    "viz": (("av", "rerun-sdk"), "video and view"),
+    "live": (("openai",), "language models"),
+    "fem": (("scikit-fem",), "validate --fem"),
+    "cluster": (("ray",), "run --engine ray"),
+    "grounded-sam": (("torch", "transformers"), "--segmenter grounded-sam"),
+}
+"""Extra of this package -> the distributions that it installs, and what needs it."""
+MEMORY_PER_TRIAL_GIB = 1.0
+"""Memory that a trial needs: 0.6 GiB (measured), and its policy's process comes on top."""
+PROBE_LIMIT_S = 120.0
+
+CONTEXT_PROBE = "from carecontact.sim.opengl import probe; probe()"
+FRAME_PROBE = """
+from carecontact.sim.opengl import make_context
+make_context(64, 64).free()
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 3'/><geom type='sphere' size='.3' rgba='1 0 0 1'/>"
+    "<camera name='c' pos='0 -2 0' xyaxes='1 0 0 0 0 1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 120, 160) as renderer:
+    renderer.update_scene(data, "c")
+    image = renderer.render()
+assert image[60, 80, 0] > 30 + image[0, 0, 0], "the picture does not show the sphere that is in the scene"
+"""
+POSE_PROBE = """
+import mediapipe, numpy
+with mediapipe.solutions.pose.Pose(static_image_mode=True, model_complexity=1) as pose:
+    pose.process(numpy.zeros((480, 640, 3), numpy.uint8))
+"""
+TISSUE_PROBE = "from carecontact.tissue.plugin import load_plugins as load; load()"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    name: str
+    fine: bool
+    detail: str
+    warning: bool = False
+    """Whether trials can run, but lack something that they should have."""
+    fix: str | None = None
+    """The command that installs what is missing."""
+
+
+def findings(*, quick: bool = False) -> Iterator[Finding]:
+    """Run the checks, one at a time.
+
+    Args:
+        quick: whether to run only those that take some 0.1 s together and whose failure would fail every trial.
+    """
+    checks = [check_python, check_temporary_folder, partial(check_opengl, frame=not quick)]
+    if not quick:
+        checks += [
+            check_packages, check_extras, check_tissue, check_pose, check_assets, check_kept, check_isolation,
+            check_machine,
+        ]  # fmt: skip
+    return (check() for check in checks)
+
+
+@cache
+def check_ready() -> None:
+    """Check once in each process, before its first trial, that trials can run here.
+
+    Raises DependencyError that names the first thing to fix: the version of Python, or the variable or folder. Where no
+    process is left for a check, it raises nothing: a trial waits for one.
+    """
+    from carecontact.sim.opengl import INSTALLING
+
+    with suppress(BlockingIOError):
+        for finding in findings(quick=True):
+            if not finding.fine:
+                fix = f"{INSTALLING}{finding.fix}" if finding.fix else ""
+                raise DependencyError(f"this machine cannot run trials: {finding.name}: {finding.detail}{fix}")
+
+
+def check_python() -> Finding:
+    low, high = PYTHON
+    version = ".".join(map(str, sys.version_info[:3]))
+    fine = low <= sys.version_info[:2] < high
+    return Finding(name="python", fine=fine, detail=version if fine else f"{version}; needs 3.11 or 3.12")
+
+
+def check_packages() -> Finding:
+    found: dict[str, str] = {}
+    absent: list[str] = []
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            absent.append(package)
+    if absent:
+        lines = [f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent]
+        return Finding(name="packages", fine=False, detail=f"not installed: {', '.join(absent)}", fix="; ".join(lines))
+    return Finding(name="packages", fine=True, detail=", ".join(f"{name} {version}" for name, version in found.items()))
+
+
+def check_extras() -> Finding:
+    """Tell which optional parts can be used. No trial needs any of them."""
+    lacking = [name for name, (packages, _) in EXTRAS.items() if not all(map(_is_installed, packages))]
+    if not lacking:
+        return Finding(name="extras", fine=True, detail="all installed")
+    parts = ", ".join(f"{name} (for {EXTRAS[name][1]})" for name in lacking)
+    command = f"pip install 'carecontact[{lacking[0]}]'"
+    return Finding(name="extras", fine=True, detail=f"optional and not installed: {parts}; {command} adds the first")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def check_tissue() -> Finding:
+    """Load the compiled tissue, and say what it was made of."""
+    from carecontact.tissue import binary, binary_lookup
+
+    if problem := binary_lookup.binary_problem():
+        what, command = problem
+        return Finding(name="tissue", fine=False, detail=f"the compiled tissue {what}", fix=command)
+    made = (
+        f"compiled for MuJoCo {binary.MUJOCO} and {binary.platform_here()}, sha256 {binary_lookup.binary_sha256()[:12]}"
+    )
+    fault = _probe(TISSUE_PROBE, environment={"MUJOCO_GL": "disable"})
+    return Finding(
+        name="tissue", fine=fault is None, detail=f"{made}; {fault or 'it loads'}",
+        fix=binary_lookup.build_command(afresh=True) if fault else None,
+    )  # fmt: skip
+
+
+def check_temporary_folder() -> Finding:
+    """Make and lock a folder where every policy's process gets one."""
+    from carecontact.serving.sandbox import private_folder
+
+    try:
+        folder = private_folder()
+    except OSError as error:
+        told = f"no folder for a policy's process can be made and locked: {error}; correct this, or name another folder"
+        return Finding(name="temporary", fine=False, detail=f"{told} in the variable TMPDIR")
+    folder.remove()
+    return Finding(name="temporary", fine=True, detail=str(folder.path.parent))
+
+
+def check_opengl(*, frame: bool = True) -> Finding:
+    """Make a context as every trial does, which draws pictures for its report at least.
+
+    Args:
+        frame: whether MuJoCo shall also render a picture with it, which takes half a second more.
+    """
+    from carecontact.sim.opengl import INSTALLING, LIBRARIES, choose_backend
+
+    problem = _probe(FRAME_PROBE if frame else CONTEXT_PROBE, environment={})
+    if problem is not None:
+        told, _, fix = problem.removeprefix("carecontact.errors.DependencyError: ").partition(INSTALLING)
+        return Finding(name="OpenGL", fine=False, detail=told, fix=fix or None)
+    chosen = "by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() in LIBRARIES else "by what is installed"
+    drew = f"; MuJoCo {metadata.version('mujoco')} rendered a frame" if frame else ""
+    return Finding(name="OpenGL", fine=True, detail=f"{choose_backend()}, chosen {chosen}{drew}")
+
+
+def check_pose() -> Finding:
+    problem = _probe(POSE_PROBE, environment={})
+    if problem is None:
+        return Finding(name="vision", fine=True, detail="MediaPipe Pose ran")
+    fix = (
+        f"{sys.executable} -m pip install --no-deps mediapipe==0.10.21 && {sys.executable} -m pip install 'protobuf<7'"
+    )
+    return Finding(name="vision", fine=False, detail=f"MediaPipe Pose does not run: {problem}", fix=fix)
+
+
+def check_assets() -> Finding:
+    """Compare every baked file with the hash in its provenance file."""
+    checked, wrong = [], []
+    for folder in (resources.files("carecontact") / "assets").iterdir():
+        if not folder.is_dir():
+            continue
+        for note in folder.iterdir():
+            if not note.name.endswith(".provenance.json"):
+                continue
+            stem = note.name.removesuffix(".provenance.json")
+            baked = next((p for p in (folder / f"{stem}.npz", folder / f"{stem}.png") if p.is_file()), None)
+            name = f"{folder.name}/{baked.name if baked else stem}"
+            expected = json.loads(note.read_bytes())["sha256"]
+            if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
+                checked.append(name)
+            else:
+                wrong.append(f"{name} is missing or does not match the sha256 in its provenance file")
+    if wrong or not checked:
+        fix = (
+            "git checkout -- src/carecontact/assets (in a clone), or "
+            f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
+        )
+        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "no asset is installed", fix=fix)
+    return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
+
+
+def check_kept() -> Finding:
+    """Tell where settled persons are kept between trials; a trial without them takes longer and is the same."""
+    folder = cache_folder()
+    if folder is None:
+        why = "as CARECONTACT_CACHE is empty" if CACHE_VARIABLE in os.environ else "as this user has no home folder"
+    else:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return Finding(name="kept", fine=True, detail=str(folder))
+        except OSError as error:
+            why = f"as {folder} cannot be written to ({error.strerror})"
+    told = f"nothing is kept between trials, {why}; name a folder in the variable {CACHE_VARIABLE} to make them faster"
+    return Finding(name="kept", fine=True, warning=True, detail=told)
+
+
+def check_isolation() -> Finding:
+    """Say how far a policy can be isolated, and whether it runs as root."""
+    from carecontact.serving.fence import available
+
+    level = available()
+    lines = []
+    if not level.startswith("full"):
+        lines.append("run policies that you do not trust on another host (docs/threat-model.md)")
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        lines.append("you are root, and so is every policy: run policies that you do not trust as an ordinary user")
+    return Finding(name="isolation", fine=True, warning=bool(lines), detail="; ".join([level, *lines]))
+
+
+def check_machine() -> Finding:
+    """Tell how many trials fit on this machine, and what rounds their numbers."""
+    import numpy  # noqa: F401  # Its linear algebra is that of the trials.
+
+    from carecontact.recording.provenance import arithmetic
+    from carecontact.running.workers import available_cores
+
+    cores = available_cores()
+    detail = f"{counted(cores, 'core')}"
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+        detail += f", {memory:.0f} GiB of memory"
+        if memory < MEMORY_PER_TRIAL_GIB * cores:
+            detail += f"; use --jobs {max(1, int(memory / MEMORY_PER_TRIAL_GIB))}"
+    detail += f"; numbers are rounded by {arithmetic()}"
+    return Finding(name="machine", fine=True, detail=detail)
+
+
+def _probe(code: str, *, environment: dict[str, str]) -> str | None:
+    """Run code in a process of its own, which a broken library may crash. Return None, or the last line of its
+    output."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", code],
+            env={**os.environ, **environment},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=PROBE_LIMIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"it did not end within {PROBE_LIMIT_S:g} s"
+    if done.returncode == 0:
+        return None
+    return (done.stderr.strip().splitlines() or [f"its process ended with status {done.returncode}"])[-1]

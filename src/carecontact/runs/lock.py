@@ -1,0 +1,136 @@
+"""One command at a time writes into a run's folder.
+
+A lock of the kernel ensures this. Where the file system has none, as some NFS mounts, the file of the lock itself does:
+who creates it has the folder. Then the kernel does not free the folder of a command that was killed.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import time
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TextIO
+
+from carecontact.errors import ConfigError
+from carecontact.recording.file import is_full, no_space
+from carecontact.system import NO_LOCKS
+
+LOCK = ".lock"
+_held = set[tuple[int, int]]()
+"""Device and inode of the files that this process has locked."""
+
+
+@contextmanager
+def folder_lock(folder: Path, *, make: bool = False) -> Generator[None]:
+    """Keep every other command out of a folder inside the block; the kernel ends this in every exit of the process,
+    where it can.
+
+    The commands of one process may nest. A folder that was made for this and stays empty goes again.
+
+    Args:
+        make: whether to make a folder that is not there; if not, nothing is locked in its place.
+
+    Raises ConfigError if another command has the folder, or if nothing can be written there, and StorageError if there
+    is no space.
+    """
+    try:
+        str(folder.resolve()).encode()
+    except UnicodeEncodeError:
+        raise ConfigError(f"{str(folder.resolve())!a} holds bytes that are not UTF-8; rename it") from None
+    made = False
+    try:
+        made = make and not folder.exists()
+        if made:
+            folder.mkdir(parents=True, exist_ok=True)
+        stream = _locked(folder, make=make) if make or folder.exists() else None
+    except NotADirectoryError:
+        stream = None  # a file, of which the command will say more
+    except OSError as error:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+        if is_full(error):
+            raise no_space(folder, error.strerror) from None
+        raise ConfigError(f"{folder}: cannot be written to: {error.strerror}") from None
+    if stream is None:
+        yield
+        return
+    with stream:
+        mine = _identity(os.fstat(stream.fileno()))
+        _held.add(mine)
+        try:
+            yield
+        finally:
+            _held.discard(mine)
+            with suppress(OSError):
+                # Before the lock goes, and never the file of another: the folder may have been moved and made anew.
+                if _identity((folder / LOCK).stat()) == mine:
+                    (folder / LOCK).unlink()
+                if made:
+                    folder.rmdir()
+
+
+def _locked(folder: Path, *, make: bool) -> TextIO | None:
+    """Return the open and locked file, or None where this process has it already."""
+    path = folder / LOCK
+    while True:
+        try:
+            stream, created = path.open("x+"), True
+        except FileExistsError:
+            try:
+                stream, created = path.open("r+"), False
+            except FileNotFoundError:
+                continue  # The one who had it has just removed it.
+        except FileNotFoundError:
+            if not make:
+                raise
+            # The one who had made the folder found it empty at the end.
+            folder.mkdir(parents=True, exist_ok=True)
+            continue
+        if _identity(os.fstat(stream.fileno())) in _held:
+            stream.close()
+            return None
+        unlocked = ""
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _held_by(stream, folder) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                stream.close()
+                raise
+            if not created:
+                freed = f"; if it was killed, delete {path}, since this file system has no locks ({error.strerror})"
+                raise _held_by(stream, folder, freed) from None
+            unlocked = f" of {platform.node()}"
+        # The one who had it may have removed the file between our opening and our locking it.
+        with suppress(FileNotFoundError):
+            if _identity(path.stat()) == _identity(os.fstat(stream.fileno())):
+                break
+        stream.close()
+    try:
+        stream.truncate(0)
+        os.write(
+            stream.fileno(), f"process {os.getpid()}{unlocked}, since {time.strftime('%Y-%m-%d %H:%M:%S')},".encode()
+        )
+    except BaseException:
+        with suppress(OSError):
+            path.unlink()
+        stream.close()
+        raise
+    return stream
+
+
+def _held_by(stream: TextIO, folder: Path, remedy: str = "") -> ConfigError:
+    with stream:
+        stream.seek(0)
+        holder = stream.read(200).strip() or "another command"
+    return ConfigError(f"{folder}: {holder} is at work in this folder; wait until it has ended{remedy}")
+
+
+def _identity(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino

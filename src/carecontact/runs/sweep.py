@@ -1,0 +1,407 @@
+"""The plan of a sweep: which policies run under which protocols and changes, as one run for each combination."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from carecontact.errors import ConfigError, did_you_mean
+from carecontact.protocol.field_errors import wrong_fields
+from carecontact.protocol.load import DEFAULT_PROTOCOL, load_levels, load_protocol
+from carecontact.protocol.overrides import SKIN_STATES, overridden
+from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.runs.identity import check_frozen
+from carecontact.runs.manifest import with_salt
+from carecontact.runs.plan import check_protocol, check_rows, parse_seeds, parse_tasks, plan_trials, with_noise_salt
+
+# Protocols in which one factor of a hard level is switched on alone, or off alone.
+
+AXIS = "factor"
+"""Name of the axis in tables."""
+NONE, ALL = "none", "all"
+"""The easy level, and the hard one."""
+Fields = Mapping[str, object]
+"""Dotted path -> value."""
+
+
+def only_factor(factor: str) -> str:
+    """Return the value of AXIS for the easy level with this factor alone."""
+    return f"only {factor}"
+
+
+def without_factor(factor: str) -> str:
+    """Return the value of AXIS for the hard level without this factor."""
+    return f"all but {factor}"
+
+
+def factor_protocols(
+    low: Protocol, high: Protocol, groups: Mapping[str, Sequence[str]], *, place: str
+) -> dict[str, Protocol]:
+    """Value of AXIS -> its protocol: the two levels, and for each factor the easy one with it and the hard one without.
+
+    Args:
+        groups: factor -> the dotted fields that belong together; every other field in which the levels differ is a
+            factor of its own, named by its last part.
+        place: how messages name the plan's table.
+
+    Raises ConfigError, which begins with ``place``, for a field in which the levels do not differ, two factors of one
+    name, and a mixture that is no valid protocol.
+    """
+    easy, hard = _fields(low), _fields(high)
+    differ = [path for path in hard if hard[path] != easy.get(path)]
+    for factor, paths in groups.items():
+        for path in paths:
+            if path not in differ:
+                valid = ", ".join(differ) or "none"
+                raise ConfigError(f"{place}.{factor}: the levels do not differ in {path!r}; they do in: {valid}")
+    grouped = {path for paths in groups.values() for path in paths}
+    named: dict[str, Sequence[str]] = dict(groups)
+    for path in differ:
+        name = path.rpartition(".")[2]
+        if path not in grouped:
+            if name in named:
+                raise ConfigError(f"{place}: two factors are named {name!r}; put {path} into a group of another name")
+            named[name] = [path]
+    if not named:
+        raise ConfigError(f"{place}: the levels are the same")
+    found = {NONE: low}
+    found |= {only_factor(factor): _mixed(low, hard, paths, f"{place}.{factor}") for factor, paths in named.items()}
+    found[ALL] = high
+    found |= {without_factor(factor): _mixed(high, easy, paths, f"{place}.{factor}") for factor, paths in named.items()}
+    return found
+
+
+def _mixed(protocol: Protocol, other: Fields, paths: Sequence[str], place: str) -> Protocol:
+    try:
+        return overridden(protocol, {path: other[path] for path in paths})
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
+def _fields(protocol: Protocol) -> dict[str, object]:
+    """Dotted path -> value of every field of a table, those of what the person does by itself one by one."""
+    tables: dict[str, BaseModel] = {
+        name: table for name in Protocol.model_fields if isinstance(table := getattr(protocol, name), BaseModel)
+    }
+    tables["person.alive"] = protocol.person.alive
+    return {
+        path: getattr(table, field)
+        for name, table in tables.items()
+        for field in type(table).model_fields
+        if (path := f"{name}.{field}") not in tables
+    }
+
+
+# The schema of a plan, a TOML file, and how it is read.
+
+Value = str | int | float | bool
+Values = Annotated[list[Value], Field(min_length=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PlannedPolicy(_Table):
+    """A policy with the options that ``carecontact run`` has for it."""
+
+    policy: Annotated[str, Field(min_length=1)]
+    """The policy as --policy takes it."""
+    label: str = ""
+    """Name in the tables; default: the policy with its arguments."""
+    arguments: dict[str, Value] = {}
+    """Arguments as --policy-arg gives them."""
+    environment: list[str] = []
+    """Variables as --policy-env names them."""
+    read: list[str] = []
+    """Paths as --policy-read names them."""
+    write: list[str] = []
+    """Paths as --policy-write names them."""
+    language: str | None = None
+    jobs: Annotated[int | None, Field(ge=1)] = None
+    """Most trials of this policy at once, such as the connections that its server takes; default: no limit."""
+
+
+class PlannedFactors(_Table):
+    """Two levels, and in between each factor switched on alone and off alone (``runs.sweep.factors``)."""
+
+    low: str
+    """The easy protocol, as the axis ``protocol`` names one."""
+    high: str
+    groups: dict[str, Values] = {}
+    """Factor -> the dotted fields that belong together; every other field in which the two differ is its own factor."""
+
+
+class Plan(_Table):
+    """Every policy runs the same tasks and seeds for every combination of the axes' values."""
+
+    tasks: str = "all"
+    seeds: str = "all"
+    rank_by: Literal["safety_gated", "region_correct", "success"] = "safety_gated"
+    """What the order of the policies is read from: the share of such trials."""
+    policies: Annotated[list[PlannedPolicy], Field(min_length=1)]
+    axes: dict[str, Values] = {}
+    """Axis -> its values: ``protocol``, ``level``, one of AXES, or the dotted name of any field of the protocol."""
+    factors: PlannedFactors | None = None
+    """Takes the place of the axes ``protocol`` and ``level``."""
+    set: dict[str, Value] = {}
+    """Field of the protocol -> value in place of its own, in every combination."""
+
+    @property
+    def protocols(self) -> list[str]:
+        return [str(name) for name in self.axes.get("protocol", [DEFAULT_PROTOCOL])]
+
+    @property
+    def levels(self) -> list[str | None]:
+        """The levels of every protocol; a plan of protocols without levels names none."""
+        return [str(name) for name in self.axes["level"]] if "level" in self.axes else [None]
+
+
+AXES = {
+    "body": "person.body",
+    "tissue": "person.tissue_set",
+    "stiffness": "impedance.translational_n_m",
+    "friction": "person.tissue.REGION.friction",
+    "latency_ms": "phases.latency_s",
+}
+"""Short name of an axis -> the field that it varies; that of friction is there for every soft region."""
+
+
+def read_plan(path: Path) -> Plan:
+    """Raises ConfigError naming file, field and what was expected."""
+    try:
+        content: dict[str, Any] = tomllib.loads(path.read_bytes().decode())
+    except OSError as error:
+        raise ConfigError(f"plan {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"plan {path}: not TOML: {error}") from None
+    try:
+        plan = Plan.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(wrong_fields(f"plan {path}", error, model=Plan, content=content)) from None
+    if plan.factors is not None and (axis := next((name for name in ("protocol", "level") if name in plan.axes), None)):
+        raise ConfigError(f"plan {path}: factors: they stand in place of axes.{axis}; give only one")
+    for axis, values in plan.axes.items():
+        if twice := [value for k, value in enumerate(values) if value in values[:k]]:
+            raise ConfigError(f"plan {path}: axes.{axis}: {twice[0]!r} is there twice; name each value once")
+        if AXES.get(axis, axis) in plan.set:
+            raise ConfigError(f"plan {path}: set.{AXES.get(axis, axis)}: the axis {axis} varies it; give only one")
+    return plan
+
+
+# The cells of a plan: one run for each policy and each combination of the axes' values.
+
+CELLS = "cells"
+"""Folder of a sweep, below which every cell has its own."""
+NAME_CHARACTERS = 100
+DIGEST_CHARACTERS = 8
+NAME_LEVELS = 'name levels in axes.level, or each beside its protocol, such as "bathing-wide-v2-draft L0"'
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """One combination of the axes' values, in which every policy runs."""
+
+    values: dict[str, str]
+    """Axis -> value, as tables show it."""
+    protocol: Protocol
+    tasks: tuple[str, ...]
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    policy: int
+    """The policy's number in the plan."""
+    label: str
+    """The policy's name in tables."""
+    place: Place
+    specs: tuple[TrialSpec, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the cell's folder: readable, and the same in every plan that has this cell."""
+        first = self.specs[0]
+        whole = [first.policy, first.policy_arguments, first.policy_environment, first.protocol.sha256, self.label]
+        digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:DIGEST_CHARACTERS]
+        told = [re.sub(r"[^A-Za-z0-9.-]+", "-", text) for text in (self.label, *self.place.values.values())]
+        return f"{'_'.join(told).strip('-.')[:NAME_CHARACTERS]}_{digest}"
+
+
+def places_of(plan: Plan, *, named: str) -> list[Place]:
+    """Return every combination, in the order of the plan's axes.
+
+    Args:
+        named: how messages name the plan.
+
+    Raises ConfigError naming the axis, the value and what is valid.
+    """
+    axes = [name for name in plan.axes if name not in ("protocol", "level")]
+    places: list[Place] = []
+    for shown, whole in _bases(plan, named):
+        rules = _changed(whole, plan.set, place=f"plan {named}: set")
+        for axis in axes:
+            for value in plan.axes[axis]:
+                _checked(_along(rules, axis, value, place=f"plan {named}: axes.{axis}"), place=f"{named}: axes.{axis}")
+        tasks, seeds = _trials(plan, rules, named)
+        for values in product(*(plan.axes[axis] for axis in axes)):
+            chosen = dict(zip(axes, values, strict=True))
+            made = rules
+            # The tissue first: its rows have frictions of their own.
+            for axis, value in sorted(chosen.items(), key=lambda pair: pair[0] != "tissue"):
+                made = _along(made, axis, value, place=f"plan {named}: {_told(chosen)}")
+            texts = shown | {axis: _text(value) for axis, value in chosen.items()}
+            places.append(Place(values=texts, protocol=made, tasks=tasks, seeds=seeds))
+    return places
+
+
+def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
+    """Return what the other axes are varied on, with the value of its own axis where it has one."""
+    if plan.factors is not None:
+        place = f"plan {named}: factors"
+        low, high = (_loaded(name, place) for name in (plan.factors.low, plan.factors.high))
+        groups = {name: [str(path) for path in paths] for name, paths in plan.factors.groups.items()}
+        found = factor_protocols(low, high, groups, place=place)
+        return [({AXIS: value}, protocol) for value, protocol in found.items()]
+    found = []
+    for name, level in product(plan.protocols, plan.levels):
+        shown = {"protocol": name} if "protocol" in plan.axes else {}
+        if level is not None:
+            shown["level"] = level
+        place = f"plan {named}: axes.{'protocol' if level is None else 'level'}"
+        found.append((shown, _loaded(name, place, level=level)))
+    return found
+
+
+def _loaded(name: str, place: str, *, level: str | None = None) -> Protocol:
+    """Return a protocol as titles name it: its id or file, and its level after a space where it has levels."""
+    whole, _, titled = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
+    wanted = level or titled or None
+    try:
+        levels = ", ".join(filter(None, load_levels(whole)))
+        if bool(levels) != bool(wanted):
+            told = f"has the levels {levels}" if levels else f"has no levels, and so no {wanted}"
+            raise ConfigError(f"{whole} {told}; {NAME_LEVELS}")
+        return check_frozen(whole, load_protocol(whole, level=wanted), unfrozen=False)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
+def cells_of(
+    plan: Plan,
+    places: Sequence[Place],
+    policies: Sequence[tuple[str, str, Mapping[str, str], Sequence[str]]],
+    *,
+    salt: str = "",
+) -> list[Cell]:
+    """Return one cell for each place and policy, place by place.
+
+    Args:
+        policies: label, text of the reference, arguments and names of variables of each policy of the plan.
+        salt: the secret of a salted run.
+    """
+    labels = [label for label, *_ in policies]
+    if twice := next((label for label in labels if labels.count(label) > 1), None):
+        raise ConfigError(f"{twice!r} is there twice; give each a label of its own")
+    return [
+        Cell(
+            policy=number,
+            label=label,
+            place=place,
+            specs=tuple(
+                with_salt(
+                    plan_trials(
+                        protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds,
+                        arguments=arguments, environment=environment,
+                    ),
+                    salt,
+                )
+            ),
+        )
+        for place in places
+        for number, (label, text, arguments, environment) in enumerate(policies)
+    ]  # fmt: skip
+
+
+def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
+    """Return the cells with one salt of the sensor noise in all those whose protocol has any.
+
+    Raises ConfigError where none has, and as ``with_noise_salt``.
+    """
+    if not any(cell.place.protocol.variation.sensor_noise for cell in cells):
+        raise ConfigError("--noise-salt: no protocol of this plan has sensor noise; leave the option out")
+    return [
+        replace(cell, specs=tuple(with_noise_salt(list(cell.specs), salt, one_of_several=False)))
+        if cell.place.protocol.variation.sensor_noise
+        else cell
+        for cell in cells
+    ]
+
+
+def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:
+    """Return the protocol with one value of an axis."""
+    if axis == "friction":
+        if isinstance(value, str) and value not in SKIN_STATES:
+            raise ConfigError(f"{place}: expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")
+        coefficient = SKIN_STATES[value].coefficient if isinstance(value, str) else value
+        changes: dict[str, Value] = {f"person.tissue.{name}.friction": coefficient for name in protocol.soft_regions}
+    elif axis == "latency_ms":
+        if isinstance(value, str):
+            raise ConfigError(f"{place}: expected a number of milliseconds, got {value!r}")
+        changes = {AXES[axis]: value / 1000}
+    elif axis in AXES or "." in axis:
+        changes = {AXES.get(axis, axis): value}
+    else:
+        valid = ["protocol", "level", *AXES]
+        raise ConfigError(
+            f"{place}: no such axis{did_you_mean(axis, valid)}; valid: {', '.join(valid)}, and any field of the "
+            'protocol by its dotted name, such as "gates.touch.duration_s"'
+        )
+    return _changed(protocol, changes, place=place)
+
+
+def _changed(protocol: Protocol, changes: Mapping[str, Value], *, place: str) -> Protocol:
+    try:
+        return overridden(protocol, changes)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
+def _checked(protocol: Protocol, *, place: str) -> None:
+    try:
+        check_protocol(protocol)
+        check_rows(protocol)
+    except ConfigError as error:
+        raise ConfigError(f"plan {place}: {error}") from None
+
+
+def _trials(plan: Plan, protocol: Protocol, named: str) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    parsers = (partial(parse_tasks, plan.tasks, protocol=protocol), partial(parse_seeds, plan.seeds, protocol=protocol))
+    try:
+        tasks, seeds = (parse() for parse in parsers)
+    except ConfigError as error:
+        raise ConfigError(f"plan {named}: {error}") from None
+    return tuple(map(str, tasks)), tuple(map(int, seeds))
+
+
+def _told(chosen: Mapping[str, Value]) -> str:
+    return ", ".join(f"{axis} = {_text(value)}" for axis, value in chosen.items())
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = str(value)
+    return Path(text).stem if text.endswith((".toml", ".npz")) else text

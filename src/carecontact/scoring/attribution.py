@@ -1,0 +1,252 @@
+"""Why a trial failed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from carecontact.interface.regions import REGIONS
+from carecontact.recording.notes import JOINTS, perception_errors
+from carecontact.recording.reason import reason_of
+from carecontact.scoring.behaviour import Gate, ask, mm
+from carecontact.scoring.commanded import (
+    CommandedPath,
+    commanded_contact,
+    commanded_path,
+    nearest_noted_target,
+    noted_reason,
+    noted_subtasks,
+)
+from carecontact.scoring.contact import Contact, faint_press, runs
+from carecontact.scoring.result import Attribution, FailureMode
+from carecontact.scoring.verdict import farthest_beyond
+
+# Whether a policy's views showed the named region, according to the perception errors in the recording.
+
+LOCATED = frozenset(("depth", "points", "masks", "landmarks"))
+"""Modalities from which a place is computed; with fewer the key points or the mask must do."""
+PERSON_IOU = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sight:
+    """Counts of views: one camera in one observation, with key points or masks."""
+
+    views: int = 0
+    visible: int = 0
+    """Number of views in which every joint at the region's ends was visible"""
+    found: int = 0
+    """Number of these views from whose modalities the region can be found"""
+    error_m: float | None = None
+    """Median horizontal error of the places that they led to; None where none was computed"""
+
+
+def sight(contact: Contact, near_m: float) -> Sight:
+    """``near_m``: horizontal error up to which a computed place counts as the region.
+
+    No view counts where the region's row names no joints by which it could be found. Raises RecordingError for
+    malformed ``perception/*``.
+    """
+    rows, region = perception_errors(contact.recording), contact.task.region
+    names = REGIONS[region].sight_joints
+    if rows is None or not len(rows.camera) or not names:
+        return Sight()
+    joints = [list(JOINTS).index(name) for name in names]
+    visible = rows.joint_visible[:, joints].all(axis=1)
+    column = contact.recording.header.regions.index(region)
+    error = np.linalg.norm(rows.target_error_m[:, column, :2].astype(np.float64), axis=1)
+    if set(modalities(contact)) >= LOCATED:
+        found = error <= near_m
+    else:
+        found = np.isfinite(rows.landmark_error_px[:, joints]).all(axis=1) | (rows.human_iou >= PERSON_IOU)
+    computed = error[np.isfinite(error) & visible]
+    return Sight(
+        views=len(rows.camera),
+        visible=int(visible.sum()),
+        found=int((visible & found).sum()),
+        error_m=float(np.median(computed)) if len(computed) else None,
+    )
+
+
+def modalities(contact: Contact) -> list[str]:
+    """Return the modalities that the policy's card requests; empty if the policy never sent a card."""
+    named = (contact.recording.header.card or {}).get("modalities")
+    return [m for m in cast("list[Any]", named) if isinstance(m, str)] if isinstance(named, list) else []
+
+
+# Why a trial failed: one cause, and the evidence for it.
+#
+# Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen. Aimed
+# above the region but too high, or at a place that the policy's own notes show it chose, is planning.
+
+NEAR_REGION_M = 0.030
+"""Aimed farther beside the region than this is aimed elsewhere; the upper end of what localising a joint with these
+cameras leaves (p95 30 to 42 mm)."""
+MOST_SUBTASKS = 3
+"""Most subtasks of a policy's notes that the evidence repeats."""
+NO_MOTION, BESIDE, SOLVER = "No motion was commanded", " beside the ", "The trial was cut by the solver"
+"""Words of the evidence by which those who read it tell apart what one cause can mean."""
+VISION = ("rgb", "depth", "points", "masks", "landmarks")
+
+
+def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
+    """Return the cause of a failed trial and one sentence of evidence.
+
+    Raises RecordingError for notes or perception errors that are malformed.
+    """
+    if mode == "process_failure":
+        return "process", _process_evidence(contact)
+    if mode == "safety_truncation":
+        return "safety", _safety_evidence(contact)
+    if mode == "joint_beyond_range":
+        return "safety", _joint_evidence(contact)
+    cause, evidence = _of_contact(contact, gate, mode)
+    return cause, f"{evidence} {_by_part(contact)}" if mode == "not_by_tool" else evidence
+
+
+def _of_contact(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
+    path = commanded_path(contact)
+    if path is None:
+        return _still(contact, sight(contact, NEAR_REGION_M))
+    if path.closest_m > NEAR_REGION_M and path.beside_m > NEAR_REGION_M:
+        return _aimed_elsewhere(contact, path, sight(contact, NEAR_REGION_M))
+    return _aimed_right(contact, gate, mode, path)
+
+
+def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
+    reason = noted_reason(contact)
+    said = f' The policy noted: "{reason}".' if reason else ""
+    cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
+    return cause, f"{NO_MOTION}; {_views(contact, seen)}.{said}"
+
+
+def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
+    where = f"The commanded path was aimed {mm(path.beside_m)}{BESIDE}{_region(contact)}"
+    could_be_found = seen.found or not seen.visible
+    noted = nearest_noted_target(contact) if could_be_found else None
+    if noted is not None:
+        name = f' ("{noted.name}")' if noted.name else ""
+        place = "over it" if noted.beside_m == 0.0 else f"{mm(noted.beside_m)} beside it"
+        other = f", over the {noted.over.replace('_', ' ')}" if noted.over else ""
+        chosen = f"the target that the policy noted{name} lay {place}{other}"
+        return "planning", f"{where}: {chosen}; {_views(contact, seen)}."
+    if could_be_found and (subtasks := noted_subtasks(contact)):
+        said = ", ".join(f'"{text}"' for text in subtasks[:MOST_SUBTASKS])
+        return "planning", f"{where}: the policy noted {said} and no target; {_views(contact, seen)}."
+    return ("perception" if seen.visible else "planning"), f"{where}; {_views(contact, seen)}."
+
+
+def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: CommandedPath) -> tuple[Attribution, str]:
+    region, closest = _region(contact), path.closest_m
+    reach = f"{mm(-closest)} below" if closest <= 0 else f"{mm(closest)} above"
+    where = f"The commanded path came to {reach} the surface of the {region}"
+    if closest > NEAR_REGION_M:
+        where = f"The commanded path was aimed at the {region} and stayed {mm(closest)} off its surface"
+    if mode in ("no_target_contact", "off_target_contact"):
+        joint = ", yet the robot" if closest <= 0 else "; the robot"
+        return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {_touched(contact)}."
+    if mode == "lost_contact":
+        lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
+        inside = sum(path.inside_at(t) for t in lost)
+        cause: Attribution = "execution" if 2 * inside > len(lost) else "planning"
+        if len(lost) == 1:
+            side = "on or under" if inside else "above"
+            return cause, f"Contact was lost once, while the commanded target lay {side} the surface of the {region}."
+        return cause, (
+            f"Contact was lost {_times(len(lost))}; in {inside} of them, the commanded target lay on or under the "
+            f"surface of the {region}."
+        )
+    if mode == "insufficient_progress" and (asked := _requested(contact, path)):
+        return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
+    return "planning", f"{where}, but {_shortfall(contact, gate, mode)}."
+
+
+def _touched(contact: Contact) -> str:
+    if contact.touched:
+        return f"touched {', '.join(contact.segments[i] for i in contact.touched)}"
+    return faint_press(contact) or "touched nothing"
+
+
+def _by_part(contact: Contact) -> str:
+    """Return which part of the robot touched the region or beside it, where most of it was not the tool."""
+    pressed = contact.recording["scorer/beside_normal_force"][:, :, contact.neighbourhood].sum(axis=(0, 2))
+    part = ("hand", "links")[int(pressed.argmax())]
+    share = f"{contact.tool_share or 0.0:.0%} of the contact impulse"
+    return f"The {_region(contact)} was touched by the {part}, not by the tool, which applied {share}."
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
+
+
+def _requested(contact: Contact, path: CommandedPath) -> str | None:
+    """Return what the targets under the surface requested, if a tool that followed them would pass the gate."""
+    asked = commanded_contact(path, contact.protocol.contact.reversal_m)
+    return ask(contact, "requested", contact.protocol.gates.of(contact.task.action), asked)
+
+
+def _views(contact: Contact, seen: Sight) -> str:
+    """Return what the policy could see of the region, as far as the recording says."""
+    region, asked = _region(contact), [m for m in modalities(contact) if m in VISION]
+    if not asked:
+        return "the policy asked for no images"
+    if not seen.views:
+        return f"the policy saw {', '.join(asked)}, and whether the {region} was in view is not recorded"
+    if not seen.visible:
+        return f"the {region} was hidden in {'its only view' if seen.views == 1 else f'all {seen.views} views'}"
+    error = f" (middle error {mm(seen.error_m)})" if seen.error_m is not None else ""
+    return f"the {region} was in view in {seen.visible} of {seen.views} and could be found in {seen.found}{error}"
+
+
+def _region(contact: Contact) -> str:
+    return contact.task.region.replace("_", " ")
+
+
+def _losses(contact: Contact) -> list[int]:
+    """Steps at which contact with the neighbourhood ended before the end of the trial."""
+    on = contact.neighbourhood_on
+    return [stop for _, stop in runs(on).tolist() if stop < len(on)]
+
+
+def _process_evidence(contact: Contact) -> str:
+    header = contact.recording.header
+    failure = header.failure
+    what = f" ({failure.kind}): {' '.join(reason_of(failure).split()).rstrip('.')}" if failure else ""
+    if header.ended == "harness_error":
+        return f"The harness failed, not the policy{what}."
+    return f"The policy's process failed{what}."
+
+
+def _safety_evidence(contact: Contact) -> str:
+    protocol, factor = contact.protocol, contact.protocol.phases.truncation_over_pain
+    pain = np.array([protocol.f_pain(s) for s in contact.segments])
+    ratio = contact.force_norm / pain
+    if ratio.size:
+        step, segment = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        if ratio[step, segment] >= factor:
+            return (
+                f"The trial was cut at {contact.force_norm[step, segment]:.1f} N on the "
+                f"{contact.segments[int(segment)]} at {contact.time_s[step]:.3f} s, {ratio[step, segment]:.2f} times "
+                f"its pain limit of {pain[segment]:.0f} N (cut at {factor:g})."
+            )
+    warnings = "; ".join(contact.recording.header.solver_warnings) or "no warning kept"
+    peak = float(contact.force_norm.max(initial=0.0))
+    return f"{SOLVER} ({warnings}) at a peak force of {peak:.1f} N."
+
+
+def _joint_evidence(contact: Contact) -> str:
+    joint, beyond_rad, time_s = farthest_beyond(contact.recording)
+    return (
+        f"The {joint.replace('_', ' ')} was {beyond_rad:.3f} rad beyond its range at {time_s:.3f} s; "
+        f"the protocol allows {contact.protocol.gates.joint_beyond_rad:.3f} rad."
+    )
+
+
+def _shortfall(contact: Contact, gate: Gate, mode: FailureMode) -> str:
+    gates = contact.protocol.gates
+    if mode == "wrong_share":
+        share = contact.region_share or 0.0
+        return f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
+    return ask(contact, "shortfall", contact, gates.of(contact.task.action), gate)

@@ -1,1 +1,0 @@
-"""Why a trial failed: the cause and the evidence for it."""

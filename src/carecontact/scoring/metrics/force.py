@@ -1,0 +1,349 @@
+"""Metrics of the force on the person: peak, stability, rate, impulse, exposure, indentation, knocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.scoring.contact import F64, Contact, runs
+from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED
+from carecontact.scoring.metrics.metric import metric
+
+# C1@1: peak contact force on the reported region.
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeakForce:
+    """Peaks [N]. The first is C1; the others show how much the choice of force decides."""
+
+    c1_peak_force_n: float
+    """Peak of the norm of the reported segment's summed force over the contact window, unfiltered."""
+    c1_peak_filtered_n: float
+    """The same after a zero-phase low pass (100 Hz)."""
+    c1_peak_contact_sum_n: float
+    """Peak of the sum of the magnitudes of each contact's normal force over the contact window."""
+    c1_peak_any_segment_n: float
+    """Peak of any segment's norm over the whole trial, inside the contact window or not."""
+
+
+@metric(
+    "C1@1", title="Peak force", unit="N", better="lower", field="c1_peak_force_n", digits=2, headline=True, matters=5.0,
+    order=0,
+)  # fmt: skip
+def peak_force(contact: Contact) -> PeakForce | None:
+    """Return the peaks of the force; None (NA) without valid contact."""
+    if not contact.valid or contact.reported is None:
+        return None
+    normal = contact.recording["scorer/normal_force"][:, contact.reported]
+    return PeakForce(
+        c1_peak_force_n=float(contact.force_in_window.max()),
+        c1_peak_filtered_n=float(contact.filtered_force[contact.window].max()),
+        c1_peak_contact_sum_n=float(normal[contact.window].max()),
+        c1_peak_any_segment_n=float(contact.force_norm.max()),
+    )
+
+
+def peak_of_segments(contact: Contact) -> dict[str, float]:
+    """Return touched segment -> largest force norm of the whole trial [N].
+
+    The safety gate reads this one and not the contact window, which the causal filter opens some steps late.
+    """
+    return {contact.segments[i]: float(np.max(contact.force_norm[:, i])) for i in contact.touched}
+
+
+# C5@1: how much the contact force fluctuates.
+
+
+@metric(
+    "C5@1", title="Force stability", unit="N", better="lower", field="c5_force_sd_n", digits=2, headline=True,
+    matters=1.0, order=0,
+)  # fmt: skip
+def force_stability(contact: Contact) -> float | None:
+    """Population standard deviation of the reported region's force norm over the contact window [N], unfiltered.
+
+    None (NA) without valid contact.
+    """
+    return float(contact.force_in_window.std()) if contact.valid else None
+
+
+# force_rate_p95@1: how abruptly the contact force changes.
+
+
+@metric("force_rate_p95@1", title="Force rate, 95th percentile", unit="N/s", better="lower", order=20)
+def force_rate_p95(contact: Contact) -> float | None:
+    """95th percentile of |dF/dt| of the reported region's force norm [N/s].
+
+    First differences between neighbouring steps that both lie in the contact window, after the zero-phase low pass of
+    the filtered peak (100 Hz): a difference over one physics step would measure the contact solver's jitter.
+    None (NA) without valid contact or without two neighbouring steps.
+    """
+    if not contact.valid:
+        return None
+    both = contact.window[1:] & contact.window[:-1]
+    rate = np.abs(np.diff(contact.filtered_force)[both]) / contact.dt_s
+    return float(np.percentile(rate, 95)) if len(rate) else None
+
+
+# impulse@1: the impulse of all contact forces on the person.
+
+
+def total_impulse(contact: Contact) -> float:
+    """Integral of each segment's force norm over its on-samples, summed over segments [N s]; 0 without contact."""
+    return float(contact.impulse_ns.sum())
+
+
+@metric("impulse@1", title="Impulse", unit="N s", better="neither", order=10)
+def impulse(contact: Contact) -> float | None:
+    """``total_impulse`` [N s]; None (NA) without valid contact."""
+    return total_impulse(contact) if contact.valid else None
+
+
+# exposure_*@1: how long the force on the person was above 10 N, above the safety gate and above the pain limit.
+
+COMFORT_N = 10.0
+"""[N] A level that this benchmark chose, not a published limit; above measured wiping forces (about 3 N, King 2010) and
+below every safety gate (21 N on the abdomen)."""
+
+
+def exposure(contact: Contact, limit_n: Callable[[str], float]) -> float | None:
+    """Time during which any touched segment's force norm exceeds its limit [s]; None (NA) without valid contact.
+
+    Reads the whole trial and not the contact window, as the safety gate does. ``limit_n``: segment -> limit [N].
+    """
+    if not contact.valid:
+        return None
+    touched = contact.touched
+    limits = np.array([limit_n(contact.segments[i]) for i in touched])
+    return int((contact.force_norm[:, touched] > limits).any(axis=1).sum()) * contact.dt_s
+
+
+@metric("exposure_comfort@1", title=f"Time above {COMFORT_N:g} N", unit="s", better="lower", order=30)
+def above_comfort(contact: Contact) -> float | None:
+    return exposure(contact, lambda _: COMFORT_N)
+
+
+@metric("exposure_gate@1", title="Time above the safety gate", unit="s", better="lower", order=31)
+def above_gate(contact: Contact) -> float | None:
+    """Above gamma' F_pain of the segment."""
+    return exposure(contact, lambda segment: contact.protocol.limits.gamma * contact.protocol.f_pain(segment))
+
+
+@metric("exposure_pain@1", title="Time above the pain limit", unit="s", better="lower", order=32)
+def above_pain(contact: Contact) -> float | None:
+    return exposure(contact, contact.protocol.f_pain)
+
+
+# pain_utilisation@1 and iso_utilisation@1: the hardest moment as a share of a published limit.
+
+ISO_PACK = "iso-ts-15066-2016"
+
+
+def utilisation(contact: Contact, limit_n: Callable[[str], float]) -> float | None:
+    """Largest ratio of a touched segment's peak force to its limit; None (NA) if nothing was touched.
+
+    ``limit_n``: segment -> limit [N]. Reads the whole trial, and a contact too brief to be valid too: a knock counts.
+    """
+    return max((peak / limit_n(segment) for segment, peak in peak_of_segments(contact).items()), default=None)
+
+
+@metric("pain_utilisation@1", title="Peak force relative to the pain limit", unit="1", better="lower", order=40)
+def pain_utilisation(contact: Contact) -> float | None:
+    """Return the largest share of the protocol's F_pain that a touched segment bore."""
+    return utilisation(contact, contact.protocol.f_pain)
+
+
+@metric(
+    "iso_utilisation@1",
+    title=f"Peak force relative to the ISO/TS 15066 force limit{UNCHECKED}",
+    unit="1",
+    better="lower",
+    order=50,
+)
+def iso_utilisation(contact: Contact) -> float | None:
+    """Return the largest share of the force limits of ISO/TS 15066:2016 that a touched segment bore."""
+    return utilisation(contact, LIMIT_PACKS[ISO_PACK].limit)
+
+
+# beyond_calibrated@2: the share of the contact that is deeper than the tissue is valid.
+
+GLIDE_M, MOVES_M_S = 0.015, 0.005
+"""Depth beyond which the simulated skin is not valid under a moving tool, and speed from which on a tool moves: with 6
+to 8 N, a slow cap that dents the abdomen by more is buried, sticks and slips, and its force drops by 1 to 13 N within
+60 ms (docs/kernel.md, "Slow and deep"). Shallower glides do not."""
+
+
+def deepest_indentation(contact: Contact) -> float:
+    """Return the deepest indentation of the target region in the whole trial [m]; 0 if nothing was recorded."""
+    return float(_depth(contact).max(initial=0.0))
+
+
+@metric(
+    "beyond_calibrated@2",
+    title="Share of contact time deeper than the tissue is valid",
+    unit="1",
+    better="neither",
+    order=70,
+)
+def beyond_calibrated(contact: Contact) -> float | None:
+    """Share of the control periods with the target touched in which it was pressed deeper than its tissue was measured,
+    or deeper than GLIDE_M by a tool that moved.
+
+    None (NA) if no control period has it touched, and on a rigid region.
+    """
+    depth = _depth(contact)
+    if len(depth) == 0 or len(contact.time_s) == 0:
+        return None
+    step = np.searchsorted(contact.time_s, contact.recording["scorer/period_time_s"] - contact.dt_s / 2)
+    step = np.minimum(step, len(contact.time_s) - 1)
+    touched = contact.on[step, contact.target]
+    tissue = contact.protocol.person.tissue.get(contact.task.region)
+    if tissue is None or not touched.any():
+        return None
+    moves = contact.recording["scorer/tcp_speed"][step] > MOVES_M_S
+    return float(((depth > tissue.measured_depth_m) | (moves & (depth > GLIDE_M)))[touched].mean())
+
+
+def _depth(contact: Contact) -> F64:
+    """(P,) largest inward anchor displacement of the target region [m]; 0 on a rigid one"""
+    region = contact.recording.header.regions.index(contact.task.region)
+    return contact.recording["scorer/indentation_m"][:, region].astype(np.float64)
+
+
+# force_predicted_r2@1: how well the contact force follows from what the policy knew without a force sensor.
+
+LEAST_PERIODS = 35
+"""Five control periods for each of the seven coefficients, 0.7 s of contact at 50 Hz."""
+LEAST_SD_N = 1e-3
+"""A force steadier than this has no variance to explain."""
+
+
+@metric(
+    "force_predicted_r2@1",
+    title="R² of force predicted from commands and encoders",
+    unit="1",
+    better="neither",
+    order=80,
+)
+def force_predicted_r2(contact: Contact) -> float | None:
+    """Adjusted R^2 of F_b of the reported segment, least squares over the control periods of the contact window.
+
+    Predictors are what a policy commanded and what its encoders report: stiffness times the distance from tool to
+    impedance target, the force that the controller's spring commands, and the tool's velocity, which its damper
+    brakes; three components each, in the robot's base, and a constant. 1: no force sensor was needed to know the
+    force; 0: they do not predict it. Adjusted for the six slopes (Ezekiel, Methods of Correlation Analysis, 1930), so
+    slightly below 0 is possible. The fit is the trial's own: information that is there, not a predictor that works
+    elsewhere.
+
+    None (NA) without valid contact, in fewer than LEAST_PERIODS periods, without an action, or where the force stays
+    the same.
+    """
+    if not contact.valid or contact.reported is None:
+        return None
+    recording = contact.recording
+    time = recording["scorer/period_time_s"]
+    given = recording["actions/time_s"]
+    if len(time) == 0 or len(given) == 0:
+        return None
+    step = np.clip(np.searchsorted(contact.time_s, time - contact.dt_s / 2), 0, len(contact.time_s) - 1)
+    kept = contact.window[step]
+    force = contact.force_norm[step, contact.reported][kept]
+    if len(force) < LEAST_PERIODS or force.std() < LEAST_SD_N:
+        return None
+    step = step[kept]
+    action = np.maximum(np.searchsorted(given, time[kept] - contact.dt_s / 2, side="right") - 1, 0)
+    # A joint control has no stiffness of the tool: one that is constant fits as well, whatever its value.
+    in_joints = "actions/joint" in recording.arrays
+    stiffness = np.ones((len(action), 1)) if in_joints else recording["actions/stiffness"][action, :1]
+    target = recording["scorer/target_in_base"][kept, :3].astype(np.float64)
+    before, after = np.maximum(step - 1, 0), np.minimum(step + 1, len(contact.time_s) - 1)
+    apart_s = (after - before)[:, None] * contact.dt_s
+    velocity = (_tool_in_base(contact, after) - _tool_in_base(contact, before)) / apart_s
+    spring = stiffness * (target - _tool_in_base(contact, step))
+    return _adjusted_r2(force, np.concatenate([spring, velocity], axis=1))
+
+
+def _tool_in_base(contact: Contact, step: npt.NDArray[np.int64]) -> F64:
+    """(N, 3) tool point at these physics steps [m]."""
+    base = np.array(contact.recording.header.pose_base_in_world)
+    tool = contact.recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64)
+    return (tool - base[:3]) @ matrix_from_quat(base[3:])
+
+
+def _adjusted_r2(values: F64, predictors: F64) -> float:
+    """``predictors``: (N, P), N > P + 1; a constant is added."""
+    n, slopes = predictors.shape
+    if not np.isfinite(predictors).all():
+        return float("nan")  # which no score may be: the caller names the recording
+    centred = predictors - predictors.mean(axis=0)
+    # A tool that never moved along an axis gives no slope there; scaled, so that newtons and m/s are cut off alike.
+    spread = centred.std(axis=0)
+    centred = centred / np.where(spread > 0, spread, 1.0)
+    deviation = values - values.mean()
+    linalg: Any = import_module("numpy.linalg")  # its types are partly unknown
+    coefficients: F64 = linalg.pinv(centred, rcond=1e-10) @ deviation
+    told = centred @ coefficients
+    left = float(((deviation - told) ** 2).sum() / (deviation**2).sum())
+    return 1.0 - left * (n - 1) / (n - slopes - 1)
+
+
+# knock_impulse@1, knock_energy@1: how hard the tool lands.
+
+KNOCK_S = 0.1
+"""[s] How much of a contact counts as its beginning; assumed. A blow of an arm on soft tissue lasts about 0.1 s, and
+pressing on purpose takes longer to build up."""
+
+
+def knocks(contact: Contact) -> Iterator[tuple[int, slice]]:
+    """Segment and first KNOCK_S of each touch, from the first force and not from where the filtered force counts."""
+    length = round(KNOCK_S / contact.dt_s)
+    for segment in contact.touched:
+        for start, stop in runs(contact.force_norm[:, segment] > 0).tolist():
+            if contact.on[start:stop, segment].any():
+                yield segment, slice(start, min(stop, start + length))
+
+
+@metric("knock_impulse@1", title="Impulse of the hardest knock", unit="N s", better="lower", order=16)
+def knock_impulse(contact: Contact) -> float | None:
+    """Largest integral of F_b over the first KNOCK_S of a touch of any segment [N s]; None (NA) if nothing was
+    touched."""
+    found = [float(contact.force_norm[time, segment].sum()) * contact.dt_s for segment, time in knocks(contact)]
+    return max(found, default=None)
+
+
+@metric("knock_energy@1", title="Energy of the hardest knock", unit="J", better="lower", order=17)
+def knock_energy(contact: Contact) -> float | None:
+    """Largest work of the tool on a segment over the first KNOCK_S of a touch, up to its peak [J]; None (NA) if nothing
+    was touched.
+
+    The force times the velocity of the tool at the contact's centre. Where another link than the hand touches, this is
+    the velocity that the hand would have there.
+    """
+    found = [_work(contact, segment, time) for segment, time in knocks(contact)]
+    return max(found, default=None)
+
+
+def _work(contact: Contact, segment: int, time: slice) -> float:
+    recording = contact.recording
+    pose = recording["scorer/pose_tcp_in_world"][time].astype(np.float64)
+    force = recording["scorer/force_human_from_robot_in_world"][time, segment].astype(np.float64)
+    centre = recording["scorer/centroid_in_world"][time, segment].astype(np.float64)
+    if len(pose) < 2:
+        return 0.0
+    travel = _moved(pose, centre)
+    done = np.cumsum(((force[1:] + force[:-1]) / 2 * travel).sum(axis=1))
+    return max(0.0, float(done.max()))
+
+
+def _moved(pose: F64, point: F64) -> F64:
+    """(T - 1, 3) way from each step to the next of the tool's point that lies at ``point`` (T, 3) between them."""
+    middle = (point[1:] + point[:-1]) / 2
+    turn = matrix_from_quat(pose[:, 3:])
+    # The point, in the tool's frame at the earlier step, is carried to the later one.
+    local = np.einsum("tji,tj->ti", turn[:-1], middle - pose[:-1, :3])
+    return pose[1:, :3] + np.einsum("tij,tj->ti", turn[1:], local) - middle

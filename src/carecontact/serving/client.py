@@ -1,0 +1,149 @@
+"""The benchmark's end of the wire: what every client of a policy's server offers, and the client of our own wire."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from carecontact.errors import ActionError, ContractError, PolicyError
+from carecontact.interface.action import Action
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.robot import Session
+from carecontact.serving import codec
+from carecontact.serving.codec import CLOSE, act_message, reset_message
+from carecontact.serving.connection import LATE, Connection, instead, wrong_keys
+from carecontact.serving.packing import MAX_REPLY_BYTES, is_map, unpack
+
+# The harness's end of a conversation with a policy, whichever wire format its server uses.
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActReply:
+    actions: list[Action]
+    """1 to MAX_CHUNK actions in the order of the answer, with fields of the right types; ``Episode.step`` checks their
+    values."""
+    sent: bytes
+    """The message that carried the observation: everything that the policy was shown at this step."""
+    sent_sha256: bytes
+    """Digest of ``sent``, 32 bytes. A random session id is left out of the digest, so that equal trials have equal
+    digests."""
+    notes: dict[str, object] = field(default_factory=dict[str, object])
+    """The policy's notes on this step; most policies take none."""
+
+
+class Client(ABC):
+    """One trial's conversation with a policy. Every failure is a PolicyError, and its kind says what the policy did."""
+
+    _begun = False
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+
+    @abstractmethod
+    def card(self, *, deadline_s: float) -> PolicyCard:
+        """Return the policy's card. Call it once, before the other methods."""
+
+    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+        """Begin the trial."""
+        self._begun = True
+        self._begin(instruction, session, deadline_s=deadline_s)
+
+    def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+        """Send an observation and return the answer.
+
+        Raises ObservationError if the observation breaks the contract, which is the harness's fault.
+        """
+        if not self._begun:
+            raise ContractError(f"{type(self).__name__}.act: expected reset before it, got none")
+        return self._act(observation, deadline_s=deadline_s)
+
+    def say_goodbye(self, *, deadline_s: float) -> None:
+        """Ask the policy to end. A policy that is gone has ended already."""
+        with suppress(PolicyError):
+            self._end(deadline_s=deadline_s)
+
+    def disconnect(self) -> None:
+        self.connection.close()
+
+    @abstractmethod
+    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None: ...
+
+    @abstractmethod
+    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply: ...
+
+    @abstractmethod
+    def _end(self, *, deadline_s: float) -> None: ...
+
+
+def sha256(message: bytes) -> bytes:
+    return hashlib.sha256(message).digest()
+
+
+# The client of the native wire.
+
+NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
+
+
+class PolicyClient(Client):
+    """Speaks the native wire (docs/wire.md)."""
+
+    def card(self, *, deadline_s: float) -> PolicyCard:
+        frame = self.connection.receive("card", deadline_s=deadline_s, late=LATE["card"])
+        return codec.decode_card(_decoded(frame, "card", "card")["card"])
+
+    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+        message = reset_message(instruction, session)
+        _decoded(self.connection.ask(message, "ready", deadline_s=deadline_s), "ready", None)
+
+    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+        message = act_message(observation)
+        entries = _decoded(self.connection.ask(message, "actions", deadline_s=deadline_s), "actions", "actions")
+        notes = _notes(entries)
+        try:
+            actions = codec.decode_actions(entries["actions"])
+        except ActionError as error:
+            raise PolicyError("action", str(error), notes=notes) from None
+        return ActReply(actions=actions, sent=message, sent_sha256=sha256(message), notes=notes)
+
+    def _end(self, *, deadline_s: float) -> None:
+        self.connection.send(CLOSE, deadline_s=deadline_s)
+
+
+def basic_authorization(credentials: str) -> str:
+    """Return the value of the header ``Authorization`` for ``USER:PASSWORD``; empty for empty credentials."""
+    return f"Basic {base64.b64encode(credentials.encode()).decode()}" if credentials else ""
+
+
+def _decoded(frame: bytes | str, kind: str, field: str | None) -> dict[str, object]:
+    """Decode a message that must be of type ``kind`` and have ``field``; a message with actions may also have notes."""
+    if isinstance(frame, str):
+        raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}; {instead(kind)}")
+    try:
+        message = unpack(frame, max_bytes=MAX_REPLY_BYTES)
+    except ContractError as error:
+        raise PolicyError("garbage", f"{kind} {error}; {instead(kind)}") from None
+    entries = message if is_map(message) else {}
+    if entries.get("type") == "error":
+        said, reason = entries.get("kind"), entries.get("message")
+        if not isinstance(reason, str) or not reason.strip():
+            reason = f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
+        known = said if isinstance(said, str) and said in PolicyError.REPORTED else "exception"
+        raise PolicyError(known, reason, notes=_notes(entries))
+    wrong = wrong_keys(entries, kind=kind, field=field)
+    if wrong is not None:
+        got = wrong if entries else f"{message!r:.200}"
+        raise PolicyError("garbage", f"expected one {kind!r} message, got {got:.300}; {instead(kind)}")
+    return entries
+
+
+def _notes(entries: dict[str, object]) -> dict[str, object]:
+    """Return the notes of a message. Raises PolicyError ``garbage`` if they are no map."""
+    notes = entries.get("notes", {})
+    if not is_map(notes) or not all(NOTE_KEY.fullmatch(key) for key in notes):
+        raise PolicyError("garbage", f"notes: expected a map with plain names as keys, got {notes!r:.200}")
+    return notes

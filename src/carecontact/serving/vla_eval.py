@@ -1,0 +1,245 @@
+"""The client of vla-eval's model servers, protocol 1: HELLO both ways, the episode's start, one action for each
+observation.
+
+Arrays travel as on the native wire, so that its strict decoder serves here too. Pictures are sent as such arrays, which
+a server accepts as well as PNG, and whose bytes do not depend on a library's version. Unlike the original client, this
+one tells a server neither the task's number nor metrics: the start message holds the instruction only, the end message
+nothing. The time stamp of every message is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard
+from carecontact.interface.robot import Session
+from carecontact.serving.client import ActReply, Client, sha256
+from carecontact.serving.connection import Connection
+from carecontact.serving.dialect import RATE_HZ
+from carecontact.serving.dialect_media import JOINTS as JOINTS
+from carecontact.serving.dialect_media import WIDTH, cropped_16_9, joint_actions
+from carecontact.serving.packing import MAX_REPLY_BYTES, is_array, is_map, pack, unpack
+
+PROTOCOL = 1
+HELLO: dict[str, object] = {"harness_version": "carecontact", "protocol_version": PROTOCOL}
+EXTERIOR, WRIST = "exo_camera_1", "wrist_camera"
+"""Names of the two pictures, as in vla-eval's DROID benchmark; servers use their order."""
+SPACES = {
+    "joint_pos_abs": ("joint_position",),
+    "joint_positions": ("joint_position",),
+    "joint_velocity": ("droid_joint_velocity",),
+    "raw": ("joint_position", "droid_joint_velocity"),
+}
+"""Format in the DimSpec of a server's joints -> our action spaces that may be meant."""
+CERTAIN = ("joint_pos_abs", "joint_positions")
+"""Formats that need no word of the address: ``joint_velocity`` states neither rad/s nor a normalisation, ``raw``
+nothing."""
+RAW_NAMES, RAW_DIMS = ("actions", "action", "joints"), (0, JOINTS, WIDTH)
+"""Names and sizes of raw actions that may be seven joints, with or without the gripper; 0 is a size not stated."""
+KEYS = {
+    "hello": ("harness_version", "protocol_version"),
+    "episode_start": ("task", "task.name"),
+    "observation": ("images", f"images.{EXTERIOR}", f"images.{WRIST}", "task_description", "states"),
+    "episode_end": (),
+}
+"""Type of a message that is sent -> every key of its payload."""
+ENVELOPE = ("type", "payload", "seq", "timestamp")
+WANTS = ("send_wrist_image", "send_state")
+"""What a server may request in its HELLO besides the exterior picture and the instruction."""
+
+
+class VlaEvalClient(Client):
+    """One trial with a model server of vla-eval."""
+
+    def __init__(self, connection: Connection, *, options: Mapping[str, str]) -> None:
+        """``options``: the options in the server's address."""
+        super().__init__(connection)
+        self._options = dict(options)
+        self._seq = 0
+        self._instruction = ""
+        self._card: PolicyCard | None = None
+
+    def card(self, *, deadline_s: float) -> PolicyCard:
+        """Exchange HELLO and return the card. Raises PolicyError ``handshake`` for another protocol or an unknown
+        action space.
+        """
+        payload = self._ask("hello", HELLO, "hello", deadline_s=deadline_s)
+        if payload.get("protocol_version") != PROTOCOL:
+            version = payload.get("protocol_version")
+            raise PolicyError("handshake", f"hello: expected protocol_version {PROTOCOL}, got {version!r:.80}")
+        self._card = _card(payload, self._options)
+        return self._card
+
+    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+        """Send the start. A server does not confirm it; if it fails, an error answers the first observation."""
+        self._instruction = instruction
+        self.connection.expect_silence()
+        self.connection.send(self._message("episode_start", {"task": {"name": instruction}}), deadline_s=deadline_s)
+
+    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+        if self._card is None:
+            raise ContractError("VlaEvalClient: expected card before act, got none")
+        if (early := self.connection.waiting()) is not None:
+            # A server refuses an episode's start with an error; nothing else may come unasked.
+            _payload(early, "action", seq=0)
+        payload = observation_payload(observation, self._card.cameras, state=self._card.arguments["state"] == "yes")
+        answer = self._ask("observation", payload, "action", deadline_s=deadline_s)
+        try:
+            actions = joint_actions(_row(answer), horizon=1, space=self._card.action_space, grips=False)
+        except ActionError as error:
+            raise PolicyError("action", str(error)) from None
+        return ActReply(actions=actions, sent=self._last, sent_sha256=sha256(self._last))
+
+    def _end(self, *, deadline_s: float) -> None:
+        self.connection.send(self._message("episode_end", {}), deadline_s=deadline_s)
+
+    def _message(self, kind: str, payload: Mapping[str, object]) -> bytes:
+        self._seq += 1
+        self._last = message(kind, payload, seq=self._seq)
+        return self._last
+
+    def _ask(self, kind: str, payload: Mapping[str, object], answer: str, *, deadline_s: float) -> Mapping[str, object]:
+        frame = self.connection.ask(self._message(kind, payload), answer, deadline_s=deadline_s)
+        return _payload(frame, answer, seq=self._seq)
+
+
+def message(kind: str, payload: Mapping[str, object], *, seq: int) -> bytes:
+    """Encode a message. ``seq``: its number in the connection, from 1."""
+    return pack({"type": kind, "payload": dict(payload), "seq": seq, "timestamp": 0.0})
+
+
+def observation_payload(observation: Observation, cameras: Sequence[str], *, state: bool) -> dict[str, object]:
+    """Return what a server is shown of an observation.
+
+    Args:
+        cameras: names of our cameras, as in the card.
+        state: whether the joint angles and the gripper are sent.
+
+    Raises:
+        ObservationError: a picture of one of these cameras is missing.
+    """
+    images: dict[str, object] = {}
+    for camera, name in (("exterior", EXTERIOR), ("wrist", WRIST)):
+        if camera not in cameras:
+            continue
+        view = observation.cameras.get(camera)
+        if view is None or view.rgb is None:
+            raise ObservationError(f"observation.cameras.{camera}.rgb: expected a picture, got none")
+        images[name] = cropped_16_9(view.rgb)
+    payload: dict[str, object] = {"images": images, "task_description": observation.instruction}
+    if state:
+        # 1 means closed, as in DROID's data.
+        closed = 1.0 - np.asarray(observation.gripper_position, np.float64)
+        payload["states"] = np.concatenate([observation.joint_position, closed]).astype("<f8")
+    return payload
+
+
+def _card(hello: Mapping[str, object], options: Mapping[str, str]) -> PolicyCard:
+    wanted = hello.get("observation_params", {})
+    if not is_map(wanted):
+        raise PolicyError("handshake", f"observation_params: expected a map, got {wanted!r:.80}")
+    strange = sorted(name for name, value in wanted.items() if name not in WANTS and value not in (False, None))
+    if strange:
+        raise PolicyError(
+            "handshake",
+            f"observation_params: the server asks for {', '.join(strange):.200}, which is not sent; known: "
+            f"{', '.join(WANTS)}",
+        )
+    wrist, state = (bool(wanted.get(name, False)) for name in WANTS)
+    space = _space(hello.get("action_spec") or {}, options.get("space"))
+    return PolicyCard(
+        name="vla-eval",
+        action_space=space,
+        control="droid",
+        modalities=("rgb",),
+        cameras=("exterior", *(("wrist",) if wrist else ())),
+        control_hz=RATE_HZ,
+        out_of_bounds="clip" if space == "joint_position" else "error",
+        arguments={"dialect": "vla-eval", "space": space, "state": "yes" if state else "no"},
+    )
+
+
+def _space(spec: object, named: str | None) -> str:
+    """Return our action space for a server's specification of its actions, and the space that the address names.
+
+    Raises PolicyError ``handshake`` if no space here executes such actions, if the named one is another than the
+    server's, and if nothing decides between several.
+    """
+    if not is_map(spec):
+        raise PolicyError("handshake", f"action_spec: expected a map, got {spec!r:.80}")
+    told = ", ".join(
+        f"{name} ({part.get('dims')!r:.20} of {part.get('format')!r:.40})" if is_map(part) else f"{name!r:.40}"
+        for name, part in sorted(spec.items())[:8]
+    )
+    said = f"the server says that its actions are {told}" if told else "the server does not say what its actions mean"
+    spaces, certain = _meant(spec) if spec else (SPACES["raw"], False)
+    if not spaces:
+        *known, last = (repr(name) for name in SPACES if name != "raw")
+        raise PolicyError(
+            "handshake",
+            f"{said}, which no action space here executes; expected joints ({JOINTS} of {', '.join(known)} or {last}) "
+            "and nothing else but a gripper",
+        )
+    if named is not None and named not in spaces:
+        remedy = "leave space out" if certain else f"?space={spaces[0]} would fit"
+        raise PolicyError("handshake", f"{said}, but the address says ?space={named}; {remedy}")
+    if named is None and not certain:
+        only = "if it fits, " if len(spaces) == 1 else ""
+        raise PolicyError(
+            "handshake", f"{said}; {only}name the space in the address: ?space={' or ?space='.join(spaces)}"
+        )
+    return named or spaces[0]
+
+
+def _meant(spec: Mapping[str, object]) -> tuple[tuple[str, ...], bool]:
+    """Return which of our action spaces a specification may mean, and whether it states so by itself."""
+    parts = [(name, part) for name, part in spec.items() if name != "gripper"]
+    if len(parts) != 1 or not is_map(part := parts[0][1]):
+        return (), False
+    name, form, dims = parts[0][0], str(part.get("format")), part.get("dims")
+    names, sizes = (RAW_NAMES, RAW_DIMS) if form == "raw" else (("joints",), (JOINTS,))
+    known = name in names and isinstance(dims, int) and dims in sizes
+    return SPACES.get(form, ()) if known else (), form in CERTAIN
+
+
+def _payload(frame: bytes | str, kind: str, *, seq: int) -> Mapping[str, object]:
+    if isinstance(frame, str):
+        raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}")
+    try:
+        entries = unpack(frame, max_bytes=MAX_REPLY_BYTES)
+    except ContractError as error:
+        raise PolicyError("garbage", f"{kind} {error}") from None
+    payload = entries.get("payload") if is_map(entries) else None
+    if not is_map(entries) or not is_map(payload) or set(entries) != set(ENVELOPE):
+        raise PolicyError(
+            "garbage", f"{kind}: expected a map with the keys {', '.join(ENVELOPE)}, got {entries!r:.200}"
+        )
+    if entries["type"] == "error":
+        said = payload.get("error")
+        raise PolicyError("exception", said if isinstance(said, str) and said.strip() else f"an error {payload!r:.200}")
+    if entries["type"] != kind or entries["seq"] != seq:
+        got = f"{entries['type']!r:.80} to message {entries['seq']!r:.40}"
+        raise PolicyError("garbage", f"expected {kind!r} as the answer to message {seq}, got {got}")
+    return payload
+
+
+def _row(answer: Mapping[str, object]) -> object:
+    """Return the one action of an answer as an array (1, 8). Raises ActionError if there is none.
+
+    A server with seven columns commands no gripper, which this benchmark ignores anyway.
+    """
+    chunk = answer.get("actions")
+    if not is_array(chunk):
+        raise ActionError(f"actions: expected an array, got {type(chunk).__name__} in the keys {sorted(answer)!s:.200}")
+    row = chunk[None] if chunk.ndim == 1 else chunk
+    if row.ndim == 2 and len(row) > 1:
+        raise ActionError(
+            f"actions: expected one action for each observation, got {len(row)}; set chunk_size=1 on the server"
+        )
+    if row.ndim == 2 and row.shape[1] == JOINTS and row.dtype.kind in "fiu":
+        row = np.concatenate([row, np.zeros((len(row), WIDTH - JOINTS), row.dtype)], 1)
+    return row

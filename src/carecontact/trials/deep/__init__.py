@@ -1,1 +1,0 @@
-"""The checks of `carecontact check` before a long run with a policy that somebody else serves."""

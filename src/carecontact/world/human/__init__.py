@@ -1,1 +1,0 @@
-"""The supine care recipient: skeleton, passive joints, soft regions, skin."""

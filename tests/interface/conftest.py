@@ -1,0 +1,3 @@
+from tests.policies.conftest import observation, person
+
+__all__ = ["observation", "person"]

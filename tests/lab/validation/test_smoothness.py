@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carecontact.lab.validation import smoothness
+from carecontact.lab.validation.passive_response import lock_arm
+from carecontact.lab.validation.result import CheckResult
+from carecontact.lab.validation.smoothness import HALF_WAY_M, Ends, Scrub, dropouts, room, scrub, sliding_friction
+from carecontact.lab.validation.subject import HOVER_M, Subject, surface_point
+from carecontact.protocol.load import load_protocol
+from carecontact.sim.simulation import Samples, Simulation
+from carecontact.tissue.plugin import Cells
+from tests.lab.validation.defects import ActsInContactOnly, frictionless, slippery
+
+
+def steady_force(count: int = 200, dt: float = 0.002) -> tuple[np.ndarray, np.ndarray]:
+    time = np.arange(count) * dt
+    return time, 5.0 + 0.5 * np.sin(2 * np.pi * 2.0 * time)
+
+
+@given(st.integers(2, 197))
+def test_a_single_low_sample_is_found_where_it_is(at: int) -> None:
+    time, force = steady_force()
+    force[at] *= 0.5
+    assert np.flatnonzero(dropouts(time, force)).tolist() == [at]
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.5])
+def test_a_shallow_dip_and_a_spike_are_none(factor: float) -> None:
+    time, force = steady_force()
+    force[100] *= factor
+    assert not dropouts(time, force).any()
+
+
+def test_small_forces_do_not_count() -> None:
+    time, force = steady_force()
+    force = force * 0.05
+    force[100] = 0.0
+    assert not dropouts(time, force).any()
+
+
+def test_a_lasting_step_is_no_dropout() -> None:
+    time, force = steady_force()
+    force[100:] *= 0.3
+    assert dropouts(time, force).sum() <= 1
+    assert not dropouts(time, np.minimum(force, 100.0))[102:].any()
+
+
+def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:
+    result = smoothness.run(ActsInContactOnly(subject, slippery), quick=True)
+    assert [m.name for m in result.missed] == [
+        "forearm scrubbed with 5 N: deviation of the sliding friction from the declared one"
+    ]
+    assert result.missed[0].value == pytest.approx(10.0, abs=1.0)
+
+
+def test_skin_without_friction_is_found(subject: Subject) -> None:
+    missed = smoothness.run(ActsInContactOnly(subject, frictionless), quick=True).missed
+    assert "forearm scrubbed with 5 N: deviation of the sliding friction from the declared one" in {
+        m.name for m in missed
+    }
+
+
+def test_friction_is_that_of_the_cells_over_which_the_tool_slides() -> None:
+    """Of three cells, the first slides with the tool's speed, the second sticks, and nothing touches the third."""
+    zero = Cells(press_ns=np.zeros(3), shear_ns=np.zeros(3), slip_m3=np.zeros(3), touch_m2s=np.zeros(3))
+    area, time, speed = 5e-5, 0.02, 0.1
+    after = Cells(
+        press_ns=np.array([3.0, 1.0, 0.0]), shear_ns=np.array([1.5, 0.1, 0.0]),
+        slip_m3=np.array([speed * time * area, 0.3 * speed * time * area, 0.0]),
+        touch_m2s=np.array([time * area, time * area, 0.0]),
+    )  # fmt: skip
+    assert sliding_friction(zero, after, speed_m_s=speed) == (0.5, 0.75)
+    friction, share = sliding_friction(zero, after, speed_m_s=10 * speed)
+    assert np.isnan(friction)
+    assert share == 0.0
+
+
+def test_a_rattling_scrub_fails() -> None:
+    """Its force swings by 1 N at 50 Hz."""
+    time = np.arange(1000) * 0.002
+    done = Scrub(
+        time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), along_n=np.zeros((1000, 2)), steady=time > 0.5,
+        turning=time < 0.1, friction=np.full(9, 0.5), sliding=np.ones(9),
+    )  # fmt: skip
+    measures = tuple(done.measures("abdomen", wanted=15.0, friction=0.5))
+    result = CheckResult(check="smoothness", title="made up", measures=measures)
+    assert [m.name for m in result.missed] == [
+        "abdomen: force noise above 20 Hz, rms", "abdomen: force noise where it turns round above 20 Hz, rms",
+    ]  # fmt: skip
+    assert not result.passed
+
+
+def test_a_force_that_turns_from_side_to_side_fails_though_its_size_is_steady() -> None:
+    """Where the tool turns round, and in a slow stroke."""
+    time = np.arange(1000) * 0.002
+    along = np.stack([np.zeros(1000), np.where(time < 0.5, 0.3 * np.sin(2 * np.pi * 100 * time), 0.0)], 1)
+    done = Scrub(
+        time_s=time, force_n=np.full(1000, 15.0), along_n=along, steady=time > 1.0, turning=time < 0.5,
+        friction=np.full(9, 0.5), sliding=np.ones(9),
+    )  # fmt: skip
+    missed = [m for m in done.measures("abdomen", wanted=15.0, friction=0.5) if m.met is False]
+    assert [m.name for m in missed] == ["abdomen: force noise along the skin where it turns round above 20 Hz, rms"]
+    assert missed[0].value == pytest.approx(0.3 / np.sqrt(2), rel=0.05)
+    assert [m.value for m in done.slow_measures("abdomen")] == pytest.approx([0.0, 0.3 / np.sqrt(8)], abs=0.01)
+
+
+@pytest.mark.parametrize(("periods", "missed"), [(2, set()), (5, {"share"}), (9, {"share", "deviation"})])
+def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(periods: int, missed: set[str]) -> None:
+    """In so many of nine periods, no cell slides: that counts as not sliding, and not as friction."""
+    still = np.arange(9) < periods
+    done = Scrub(
+        time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), along_n=np.zeros((1000, 2)),
+        steady=np.ones(1000, bool), turning=np.ones(1000, bool),
+        friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
+    )  # fmt: skip
+    measures = done.measures("abdomen", wanted=15.0, friction=0.5)
+    assert {m.name.partition(": ")[2].partition(" ")[0] for m in measures if m.met is False} == missed
+
+
+def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
+    time = np.arange(100) * 0.002
+    none = np.zeros(0)
+    still = Scrub(
+        time_s=time, force_n=np.full(100, 5.0), along_n=np.zeros((100, 2)), steady=np.zeros(100, bool),
+        turning=np.ones(100, bool), friction=none, sliding=none,
+    )  # fmt: skip
+    missed = {m.name for m in still.measures("abdomen", wanted=5.0, friction=0.5)
+              if m.met is False}  # fmt: skip
+    assert {name.partition(": ")[2] for name in missed} >= {
+        "force noise above 20 Hz, rms",
+        "share of the time at speed",
+    }
+
+
+@given(st.floats(0.0, 0.1), st.floats(0.0, 0.1))
+def test_the_way_is_as_long_and_as_near_as_there_is_room(before: float, beyond: float) -> None:
+    ends = Ends.within(-before, beyond)
+    assert -before - 1e-12 <= ends.low_m <= ends.high_m <= beyond + 1e-12
+    assert ends.high_m - ends.low_m == pytest.approx(min(2 * HALF_WAY_M, before + beyond))
+    if min(before, beyond) >= HALF_WAY_M:
+        assert (ends.low_m, ends.high_m) == (-HALF_WAY_M, HALF_WAY_M)
+
+
+@given(st.floats(0.025, 0.08), st.floats(0.025, 0.08))
+def test_a_tool_that_lags_behind_turns_at_the_ends_of_its_way(up: float, down: float) -> None:
+    """A tool that follows the target at so great a distance, and stays where it is until the target has passed it."""
+    ends = Ends.within(-0.02, 0.03)
+    target = tool = 0.0
+    turned: list[float] = []
+    before = ends.turns
+    while before < 8:
+        target += 0.002 * ends.direction
+        tool = max(tool, target - up) if ends.direction > 0 else min(tool, target + down)
+        ends.moved(target, tool)
+        if ends.turns > before:
+            before = ends.turns
+            turned.append(tool)
+    # The target moves by 2 mm at a time.
+    assert sorted(turned[-2:]) == pytest.approx([-0.02, 0.03], abs=0.0025)
+
+
+def with_tool(tool: str, *, body: str) -> Subject:
+    rules = load_protocol("bathing-v3-draft")
+    return Subject(
+        rules.model_copy(
+            update={
+                "person": rules.person.model_copy(update={"body": body}),
+                "scene": rules.scene.model_copy(update={"tool": tool}),
+            }
+        )
+    )
+
+
+def test_a_mitt_has_less_room_before_the_elbow_than_a_cap_and_is_put_back() -> None:
+    """By half of what it is longer along the arm: 27 mm and 13 mm."""
+    high: dict[str, float] = {}
+    for tool in ("caps", "mitt"):
+        simulation = with_tool(tool, body="woman-old-light").hovering("upper_arm")
+        behind, ahead = (surface_point(simulation, "upper_arm", (off, 0.0)) for off in (-0.03, 0.03))
+        slope = (ahead - behind) / 0.06
+        before = simulation.data.geom_xpos.copy()
+        # As deep as if it had been pressed.
+        _, high[tool] = room(simulation, lambda off, slope=slope: off * slope - [0, 0, HOVER_M + 0.01])
+        np.testing.assert_array_equal(simulation.data.geom_xpos, before)
+    assert 0.0 < high["mitt"] < high["caps"] - 0.006
+
+
+def test_a_mitt_that_scrubs_a_short_arm_stays_on_its_soft_skin() -> None:
+    """Round the same middle as the cap, it ran into the elbow with 60 N and rattled there."""
+    simulation = with_tool("mitt", body="woman-old-light").hovering("upper_arm")
+    lock_arm(simulation)
+    met: set[str] = set()
+    advance = simulation.advance
+
+    def watched(steps: int) -> list[Samples]:
+        samples = advance(steps)
+        met.update(rigid_contacts(simulation))
+        return samples
+
+    simulation.advance = watched
+    done = scrub(simulation, 15.0, strokes=2, region="upper_arm")
+    assert met == set()
+    assert done.force_n.max() < 25.0
+    missed = [m.name for m in done.measures("arm", wanted=15.0, friction=0.5)
+              if m.met is False]  # fmt: skip
+    assert missed == []
+
+
+def rigid_contacts(simulation: Simulation) -> set[str]:
+    """Names of the geoms that the robot touches where no soft skin covers them."""
+    model = simulation.model
+    names = {model.geom(g).name for contact in simulation.data.contact for g in contact.geom}
+    return {name for name in names if name.startswith("human_hull_")}
+
+
+def test_every_region_is_scrubbed_with_both_forces_and_stroked_slowly(
+    subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, float, float]] = []
+
+    def noted(
+        simulation: object, newton: float, *, strokes: int, region: str, speed_m_s: float = smoothness.SPEED_M_S
+    ) -> Scrub:
+        asked.append((region, newton, speed_m_s))
+        one = np.ones(100)
+        return Scrub(
+            time_s=np.arange(100) * 0.002, force_n=one, along_n=np.zeros((100, 2)), steady=one > 0, turning=one > 0,
+            friction=one, sliding=one,
+        )  # fmt: skip
+
+    monkeypatch.setattr(smoothness, "scrub", noted)
+    smoothness.run(subject, quick=False)
+    each = ((5.0, 0.1), (15.0, 0.1), (8.0, 0.01), (8.0, 0.02), (8.0, 0.03))
+    assert asked == [(region, *how) for region in subject.regions() for how in each]
