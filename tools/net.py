@@ -40,7 +40,6 @@ DRAFTS = ("bathing-v3-draft", "bathing-droid-draft", "bathing-wide-v2-draft:L1",
 SALTED = "bathing-wide-v2-draft:L3"
 SALT = "0" * 32
 HEADER, CHECKSUM = "header_json", "sha256"
-KERNEL = Path("src/carecontact/tissue")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -169,10 +168,12 @@ def work_tree(base: str, place: Path) -> Iterator[Path]:
 
 def with_kernel(tree: Path) -> Path:
     """Give a work tree the compiled tissue: this one's where the C sources are the same, else its own."""
-    ours, theirs = ({path.name: path.read_bytes() for path in (root / KERNEL / "c").iterdir()} for root in (ROOT, tree))
+    # Revisions differ in the name of the folder.
+    here, there = (next((root / "src" / "carecontact").glob("*/c/plugin.c")).parent for root in (ROOT, tree))
+    ours, theirs = ({path.name: path.read_bytes() for path in folder.iterdir()} for folder in (here, there))
     if ours == theirs:
-        for library in (ROOT / KERNEL).glob("libcarecontact_kernel.*"):
-            shutil.copy2(library, tree / KERNEL)
+        for library in here.parent.glob("libcarecontact_kernel.*"):
+            shutil.copy2(library, there.parent)
     else:
         # The build's requirements, among them the compiler, are not in this interpreter's environment.
         build = tomllib.loads((tree / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]

@@ -29,8 +29,8 @@ PROCESS_STATUS = struct.Struct("=q")
 STATUS_FD = 3
 """The request's ``told_fd`` in a forked worker; the socket has this number in the server."""
 NEEDED = (
-    "carecontact.running.trial", "carecontact.running.trial", "carecontact.serving.process",
-    "carecontact.scoring.score", "h5py", "numpy.ma", "numpy.random",
+    "carecontact.running.trial", "carecontact.serving.process", "carecontact.scoring.score", "h5py", "numpy.ma",
+    "numpy.random",
 )  # fmt: skip
 """Modules that a worker would import."""
 

@@ -16,6 +16,7 @@ from carecontact.lab.validation.knocks import Blow, Driven, Site, drive, sites, 
 from carecontact.lab.validation.result import Measure
 from carecontact.lab.validation.subject import COMFORT_ARM_DEG, Subject
 from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import Protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.tissue.plugin import add_region, set_law
@@ -216,6 +217,14 @@ def test_skin_holds_the_cap_until_it_is_pressed_onto_bone() -> None:
     assert 0 < driven.sunk < 1
     assert driven.speed_m_s > 0.9 * PROTOCOL_DRIVEN_DEEP.physics.max_tcp_speed_m_s
     assert driven.deepest_m > 0.98 * subject.tissue("abdomen").thickness_m, "it went as deep as there is tissue"
+
+
+@pytest.mark.parametrize("body", ["man-old-heavy", "woman-adult-heavy"])
+def test_skin_of_a_thick_belly_does_not_slip_off_the_cap(body: str) -> None:
+    """It did, at 119 and 117 N, while the tissue grew firmer along the normal alone (docs/tissue.md)."""
+    driven = drive(Subject(overridden(PROTOCOL_DRIVEN_DEEP, {"person.body": body})))
+    assert missed_depth(driven) == []
+    assert driven.peak_n > 115.0
 
 
 @pytest.fixture
