@@ -12,7 +12,7 @@ env: ## create the Python environment in .venv, and nothing else
 	@sh tools/bootstrap.sh
 
 demo: env ## run the seven tasks once and write an HTML report into runs/demo
-	@$(BIN)/carecontact demo
+	@$(BIN)/carecontact run --demo
 
 test: env lint ## check style, types, import rules and run the fast tests
 	$(BIN)/python -m pytest -n auto --dist worksteal

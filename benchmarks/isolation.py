@@ -19,18 +19,11 @@ from dataclasses import replace
 from math import sqrt
 from statistics import median
 
-import numpy as np
-
-from carecontact.interface.observation import Observation
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.opening import open_policy
-from some_session import SESSION
+from some_session import SESSION, observation
 
-SEEN = Observation(
-    instruction="gently touch the right forearm", sim_time_s=0.0, joint_position=np.zeros(7),
-    joint_velocity=np.zeros(7), gripper_position=np.zeros(1), cameras={},
-    pose_tcp_in_base=np.array([0.4, 0.0, 0.4, 0.0, 1.0, 0.0, 0.0]),
-)  # fmt: skip
+SEEN = observation()
 
 
 def processor_s() -> float:
@@ -56,9 +49,11 @@ def summary(with_s: Sequence[float], without_s: Sequence[float]) -> dict[str, ob
     reach = round(1.96 * sqrt(n) / 2)
     low, high = differences[max(n // 2 - reach, 0)], differences[min(n // 2 + reach, n - 1)]
     return {
-        "with_ms": round(1000 * median(with_s), 1), "without_ms": round(1000 * median(without_s), 1),
-        "difference_ms": round(median(differences), 1), "interval_ms": [round(low, 1), round(high, 1)],
-    }  # fmt: skip
+        "with_ms": round(1000 * median(with_s), 1),
+        "without_ms": round(1000 * median(without_s), 1),
+        "difference_ms": round(median(differences), 1),
+        "interval_ms": [round(low, 1), round(high, 1)],
+    }
 
 
 def main() -> None:
@@ -74,10 +69,10 @@ def main() -> None:
             found = once(setups[isolated])
             if number >= 0:  # the first ones fill the file cache
                 took[isolated].append(found)
-    told: dict[str, object] = {"policy": given.policy, "pairs": given.pairs, "level": took[True][0][2]}
-    told["wall"] = summary(*([wall_s for wall_s, _, _ in took[isolated]] for isolated in (True, False)))
-    told["processor"] = summary(*([used_s for _, used_s, _ in took[isolated]] for isolated in (True, False)))
-    sys.stdout.write(json.dumps(told, indent=2) + "\n")
+    out: dict[str, object] = {"policy": given.policy, "pairs": given.pairs, "level": took[True][0][2]}
+    out["wall"] = summary(*([wall_s for wall_s, _, _ in took[isolated]] for isolated in (True, False)))
+    out["processor"] = summary(*([used_s for _, used_s, _ in took[isolated]] for isolated in (True, False)))
+    sys.stdout.write(json.dumps(out, indent=2) + "\n")
 
 
 if __name__ == "__main__":

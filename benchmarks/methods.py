@@ -18,16 +18,18 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from carecontact.episode.episode import first_look
 from carecontact.interface.policy import PolicyCard
-from carecontact.interface.robot import ActionBounds, Session
+from carecontact.interface.robot import Session
 from carecontact.policies.voxposer.policy import VoxPoser
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import Protocol
+from some_session import SESSION
 
 AIM = {"voxposer_planning_call_s": 2.0, "140_trials_min": {"state-machine": 10, "voxposer": 25}}
 TRIALS, CORES = 140, 2
@@ -60,16 +62,8 @@ def whole_trial(policy: str, task: str) -> dict[str, object]:
 
 
 def _session(protocol: Protocol) -> Session:
-    impedance = protocol.impedance
-    bounds = ActionBounds(
-        workspace_low_m=impedance.workspace_low_m, workspace_high_m=impedance.workspace_high_m,
-        translational_stiffness=impedance.translational_bounds, rotational_stiffness=impedance.rotational_bounds,
-    )  # fmt: skip
     sizes = {name: (camera.width, camera.height) for name, camera in protocol.cameras.items()}
-    return Session(
-        action_bounds=bounds, joint_low_rad=(-3.0,) * 7, joint_high_rad=(3.0,) * 7, camera_sizes_px=sizes,
-        time_limit_s=protocol.phases.time_limit_s,
-    )  # fmt: skip
+    return replace(SESSION, action_bounds=protocol.impedance.action_bounds, camera_sizes_px=sizes)
 
 
 def _timed(call: Callable[[], object]) -> tuple[float, float]:
@@ -97,9 +91,11 @@ def main() -> None:
     arguments = parser.parse_args()
     protocol, tasks = load_protocol(), arguments.tasks.split(",")
     out: dict[str, object] = {
-        "cores": os.cpu_count(), "load_before": round(os.getloadavg()[0], 1), "aim": AIM,
+        "cores": os.cpu_count(),
+        "load_before": round(os.getloadavg()[0], 1),
+        "aim": AIM,
         "planning": [planning_call(protocol, task, arguments.repeat) for task in tasks],
-    }  # fmt: skip
+    }
     if not arguments.without_trials:
         trials = [whole_trial(policy, task) for policy in arguments.policies.split(",") for task in tasks]
         out["trials"] = trials

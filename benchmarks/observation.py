@@ -4,7 +4,7 @@
 
 Overhead camera, 640 x 480, person and robot in view, median of ``--repeat`` in milliseconds of wall clock and of this
 process's CPU time over all of its threads: the renderer draws on as many cores as it finds, and on a shared machine
-the wall clock says how busy that is. Ends with status 1 if anything was rendered that nobody asked for.
+the wall clock says how busy that is. Ends with status 1 if anything was rendered that no card requests.
 """
 
 from __future__ import annotations
@@ -40,9 +40,10 @@ def median_ms(call: Callable[[], object], repeat: int) -> dict[str, float]:
         wall.append(time.perf_counter() - began)
         cpu.append(time.process_time() - worked)
     return {
-        "wall_ms": round(1000 * float(np.median(wall)), 1), "least_wall_ms": round(1000 * min(wall), 1),
+        "wall_ms": round(1000 * float(np.median(wall)), 1),
+        "least_wall_ms": round(1000 * min(wall), 1),
         "cpu_ms": round(1000 * float(np.median(cpu)), 1),
-    }  # fmt: skip
+    }
 
 
 def main() -> None:
@@ -63,10 +64,11 @@ def main() -> None:
     with SceneRenderer(simulation.model, protocol=protocol) as renderer:
         angles = renderer.proprioception.joint_position(data)
         calls: dict[str, Callable[[], object]] = {
-            "rgb": lambda: renderer.rgb(data, "overhead"), "depth": lambda: renderer.depth(data, "overhead"),
+            "rgb": lambda: renderer.rgb(data, "overhead"),
+            "depth": lambda: renderer.depth(data, "overhead"),
             "robot_depth": lambda: renderer.robot_depth(angles, "overhead"),
             "truth (scorer)": lambda: renderer.truth(data, "overhead"),
-        }  # fmt: skip
+        }
         out["images"] = {name: median_ms(call, arguments.repeat) for name, call in calls.items()}
         observations: dict[str, object] = {}
         for modalities in ((), *((m,) for m in MODALITIES), MODALITIES):

@@ -3,8 +3,8 @@
     python benchmarks/pad.py [--newton 10 20] [--regions forearm abdomen] [--protocol NAME]
 
 A box of 30 x 40 x 12 mm lies where the cap was, its face in the tool centre point. Both scrub the region, the arm held,
-as in the check ``smoothness`` of ``carecontact validate``. The time is that of all that a control period does, in CPU
-seconds of this process.
+as in the check ``smoothness`` of ``carecontact verify physics``. The time is that of all that a control period does, in
+CPU seconds of this process.
 """
 
 from __future__ import annotations
@@ -56,9 +56,10 @@ def measured(subject: Subject, region: str, newton: float) -> dict[str, float | 
     return {
         "us_per_step": round(1e6 * best / steps, 1),
         "mean_force_at_speed_n": round(float(made.force_n[made.steady].mean()), 1),
-        "share_at_speed": round(float(made.steady.mean()), 2), "points_at_the_end": int(row["points"]),
+        "share_at_speed": round(float(made.steady.mean()), 2),
+        "points_at_the_end": int(row["points"]),
         "warnings": list(simulation.solver_warnings()),
-    }  # fmt: skip
+    }
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # the synthetic re
 
 from tests.scoring.synthetic import SEGMENTS, back_and_forth, make_recording, seconds, target_segment
 
-from carecontact.cli.score import processes
+from carecontact.cli.publish import processes
 from carecontact.recording import Recording, read_recording, write_recording
 from carecontact.recording.file import canonical_digest, header_json
 from carecontact.runs import score_run, write_scores
@@ -105,7 +105,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=140)
     parser.add_argument("--seconds", type=float, default=30.0, help="of every trial")
-    parser.add_argument("--jobs", type=int, default=None, help="processes; default: as carecontact score takes them")
+    parser.add_argument("--jobs", type=int, default=None, help="processes; default: as many as pay")
     options = parser.parse_args()
     jobs = options.jobs or processes(options.trials)
     with tempfile.TemporaryDirectory() as name:

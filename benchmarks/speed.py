@@ -180,11 +180,13 @@ def main() -> None:
     arguments = parser.parse_args()
     protocol = load_protocol(*([arguments.protocol] if arguments.protocol else []))
     out: dict[str, object] = {
-        "mujoco": mujoco.__version__, "cores": os.cpu_count(), "load_before": os.getloadavg()[0],
+        "mujoco": mujoco.__version__,
+        "cores": os.cpu_count(),
+        "load_before": os.getloadavg()[0],
         "physics": [physics(protocol, region) for region in REGIONS],
         "physics_fast": [physics(overridden(protocol, {"physics.dt_s": FAST_DT_S}), region) for region in REGIONS],
         "help_s": help_seconds(),
-    }  # fmt: skip
+    }
     if arguments.before:
         before = arguments.protocol_before or arguments.protocol
         out["beside"] = beside(arguments.before.resolve(), {"before": before, "now": arguments.protocol})

@@ -29,7 +29,7 @@ import numpy as np
 
 from carecontact.audit.wall_time import Separation, Times, separation, times_of
 from carecontact.interface.action import MAX_CHUNK
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.observation import CameraView
 from carecontact.protocol.load import load_protocol
 from carecontact.recording import Recording, read_recording
 from carecontact.running.pace import PACED, Pace
@@ -38,7 +38,7 @@ from carecontact.runs.plan import parse_tasks, plan_trials
 from carecontact.serving.codec import act_message
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.opening import open_policy
-from some_session import SESSION
+from some_session import SESSION, observation
 
 POLICY = """
 import json, os, time
@@ -72,7 +72,7 @@ def actions_of(recording: Recording) -> list[tuple[list[float] | None, list[floa
     return list(zip(kept, stiffness.tolist(), strict=True))[:MAX_CHUNK]
 
 
-def told(found: Separation) -> dict[str, float]:
+def rounded(found: Separation) -> dict[str, float]:
     return {"auc": round(found.auc, 3), "standard_errors": round(found.z, 1)}
 
 
@@ -89,14 +89,18 @@ def measured(folder: Path, notes: Path) -> dict[str, object]:
         lines = (notes / f"{recording.header.spec.task_id}.jsonl").read_text().splitlines()
         came, left = np.array([json.loads(line) for line in lines]).T
         seen.append(replace(times, per_period_s=(came[1:] - left[:-1])[: len(times.contact)]))
-    both = {word: np.concatenate([t.per_period_s[t.contact == yes] for t in seen]) for word, yes in
-            (("contact", True), ("no contact", False))}  # fmt: skip
+    both = {
+        word: np.concatenate([t.per_period_s[t.contact == yes] for t in seen])
+        for word, yes in (("contact", True), ("no contact", False))
+    }
     return {
-        "policy": told(separation(seen)), "recording": told(separation(kept)), "late": late,
+        "policy": rounded(separation(seen)),
+        "recording": rounded(separation(kept)),
+        "late": late,
         "intervals": {word: len(values) for word, values in both.items()},
         "median_ms": {word: round(1000 * float(np.median(values)), 3) for word, values in both.items()},
         "p95_ms": {word: round(1000 * float(np.percentile(values, 95)), 3) for word, values in both.items()},
-    }  # fmt: skip
+    }
 
 
 def compute(seconds: float) -> None:
@@ -111,11 +115,7 @@ def shuffled(count: int, folder: Path, *, pace_s: float | None) -> dict[str, flo
     chance = np.random.default_rng(0)
     picture = chance.integers(0, 255, (480, 640, 3)).astype(np.uint8)
     camera = CameraView(intrinsics=np.eye(3), pose_camera_in_base=np.eye(4), rgb=picture)
-    seen = Observation(
-        instruction="shuffled", sim_time_s=0.0, joint_position=np.zeros(7), joint_velocity=np.zeros(7),
-        gripper_position=np.zeros(1), cameras={"overhead": camera},
-        pose_tcp_in_base=np.array([0.4, 0.0, 0.4, 0.0, 1.0, 0.0, 0.0]),
-    )  # fmt: skip
+    seen = observation({"overhead": camera})
     (folder / "one_by_one.py").write_text(POLICY)
     (folder / "actions.json").write_text(json.dumps({"shuffled": ("shuffled", [(None, (400.0, 20.0))] * (count + 1))}))
     setup = PolicySetup.of(
@@ -133,7 +133,7 @@ def shuffled(count: int, folder: Path, *, pace_s: float | None) -> dict[str, flo
             policy.act(seen)
     came, left = np.array([json.loads(line) for line in (folder / "shuffled.jsonl").read_text().splitlines()]).T
     late = {"late": float(pace.arrays()[PACED][1])} if pace_s is not None else {}
-    return told(separation([Times(per_period_s=came[1:] - left[:-1], contact=long)])) | late
+    return rounded(separation([Times(per_period_s=came[1:] - left[:-1], contact=long)])) | late
 
 
 def main() -> None:

@@ -22,12 +22,12 @@ import numpy as np
 from carecontact.interface.observation import CameraView, Observation
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.opening import open_policy
-from some_session import SESSION
+from some_session import SESSION, observation
 
 SERVER = Path(__file__).parents[1] / "examples" / "openpi_server.py"
 
 
-def observation(sizes_hw: dict[str, tuple[int, int]]) -> Observation:
+def seen(sizes_hw: dict[str, tuple[int, int]]) -> Observation:
     noise = np.random.default_rng(0)
     cameras = {
         name: CameraView(
@@ -35,11 +35,7 @@ def observation(sizes_hw: dict[str, tuple[int, int]]) -> Observation:
         )
         for name, hw in sizes_hw.items()
     }
-    return Observation(
-        instruction="gently touch the right forearm", sim_time_s=0.0, joint_position=np.zeros(7),
-        joint_velocity=np.zeros(7), gripper_position=np.zeros(1), cameras=cameras,
-        pose_tcp_in_base=np.array([0.4, 0.0, 0.4, 0.0, 1.0, 0.0, 0.0]),
-    )  # fmt: skip
+    return observation(cameras)
 
 
 def round_trips(port: int, seen: Observation, repeat: int) -> dict[str, float]:
@@ -67,8 +63,8 @@ def main() -> None:
         threading.Thread(target=server.stdout.read, daemon=True).start()
         ready, cameras = {"exterior": (224, 224), "wrist": (224, 224)}, {"exterior": (360, 640), "wrist": (480, 640)}
         found = {
-            "openpi": round_trips(port, observation(ready), repeat),
-            "openpi_with_resizing": round_trips(port, observation(cameras), repeat),
+            "openpi": round_trips(port, seen(ready), repeat),
+            "openpi_with_resizing": round_trips(port, seen(cameras), repeat),
         }
         server.kill()
     print(json.dumps(found, indent=1))

@@ -16,9 +16,11 @@ def look_again(patch: pytest.MonkeyPatch, *registries: Registry[Any]) -> None:
     for registry in registries:
         registry._load_scanned()
         for name, state in (
-            ("_rows", dict(registry._rows)), ("_origins", dict(registry._origins)), ("_points", None),
-            ("_settled", set[str]()), ("_faults", dict[str, str]()),
-        ):  # fmt: skip
+            ("_rows", dict(registry._rows)),
+            ("_origins", dict(registry._origins)),
+            ("_points", None),
+            ("_faults", dict[str, str]()),
+        ):
             patch.setattr(registry, name, state)
 
 

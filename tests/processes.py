@@ -11,7 +11,7 @@ NAMESPACE = "os.readlink('/proc/self/ns/pid')"
 
 
 def alive(pid: int | None) -> bool:
-    """Whether any thread of a process runs: one that nobody has reaped yet is dead."""
+    """Whether any thread of a process runs: one that no process has reaped yet is dead."""
     with suppress(OSError):
         states = [path.read_text().rpartition(")")[2].split()[0] for path in Path(f"/proc/{pid}/task").glob("*/stat")]
         return any(state not in "ZX" for state in states)
@@ -31,11 +31,11 @@ def pid_here(pid: int, namespace: str) -> int | None:
 
 def described(pid: int | None) -> str:
     """Return id, state, parent, threads and command line."""
-    folder, said = Path(f"/proc/{pid}"), [str(pid)]
+    folder, state_lines = Path(f"/proc/{pid}"), [str(pid)]
     with suppress(OSError):
         for task in folder.glob("task/*/stat"):
             name, state = task.read_text().rpartition(")")[0].partition("(")[2], task.read_text().rpartition(")")[2]
-            said.append(f"{name}: {' '.join(state.split()[:2])}")
-        said.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")[:200])
-        said.append((folder / "wchan").read_text())
-    return "; ".join(said)
+            state_lines.append(f"{name}: {' '.join(state.split()[:2])}")
+        state_lines.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")[:200])
+        state_lines.append((folder / "wchan").read_text())
+    return "; ".join(state_lines)

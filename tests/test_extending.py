@@ -22,7 +22,7 @@ from carecontact.errors import ConfigError
 from carecontact.human.skeleton import body_name
 from carecontact.interface.regions import REGIONS
 from carecontact.lab.validation.subject import move_to
-from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.gates import ACTIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden, without_overrides
 from carecontact.protocol.protocol import Protocol, TrialSpec
@@ -32,6 +32,7 @@ from carecontact.report.run_page import write_report
 from carecontact.running.engine import TrialRequest, setup_of
 from carecontact.runs import score_run
 from carecontact.scoring import METRICS, score_recording
+from carecontact.scoring.behaviour import BEHAVIOURS
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene, build_scene
 from tests.installed import look_again
@@ -47,7 +48,7 @@ def outside() -> Iterator[None]:
     """The package ``outside`` is installed, and gone again afterwards."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(FOLDER)
-        look_again(patch, BEHAVIOURS, REGIONS, METRICS)
+        look_again(patch, ACTIONS, BEHAVIOURS, REGIONS, METRICS)
         yield
 
 
@@ -147,8 +148,9 @@ def test_trials_are_judged(protocol: Protocol, force: float, seconds: float, suc
 
 def test_its_gate_is_swept_and_its_words_explain_a_failure(protocol: Protocol) -> None:
     assert score_recording(held(protocol, 7.0)).gate_sweep == {
-        "floor_n": {"0.25": 0, "0.5": 0, "1": 0, "2": 0}, "hold_high_n": {"4": 0, "6": 0, "8": 3}
-    }  # fmt: skip
+        "floor_n": {"0.25": 0, "0.5": 0, "1": 0, "2": 0},
+        "hold_high_n": {"4": 0, "6": 0, "8": 3},
+    }
     surface = (0.0, 0.0, 0.0)
     long, short = [(0.4, surface)], [(0.4, surface), (1.0, (0.0, 0.0, 0.2))]
     right, planned = (score_recording(held(protocol, 7.0, targets_in_region=t)) for t in (long, short))
@@ -182,8 +184,8 @@ def test_recordings_name_the_package_that_supplied_the_rows(protocol: Protocol) 
 
 
 def test_a_worker_process_finds_the_rows_by_itself(protocol: Protocol, tmp_path: Path) -> None:
-    """Nobody tells it: it reads the spec, and the entry points of the installed package do the rest. Without the
-    package it says what is missing."""
+    """It reads the spec, and the entry points of the installed package do the rest. Without the package, the error
+    names what is missing."""
     gone = overridden(protocol, {"person.body": "smplx:gone.npz?sex=F"})
     spec = TrialSpec(protocol=gone, task_id="T8", seed=0, policy="zero-action")
     asked = TrialRequest(spec=spec, policy=setup_of(spec), out=tmp_path / "trial.h5").model_dump_json()
@@ -211,10 +213,14 @@ def carecontact_outside(*command: str) -> subprocess.CompletedProcess[str]:
     paths = (str(Path(carecontact.__file__).parents[1]), str(FOLDER))
     return subprocess.run(
         [sys.executable, "-P", "-m", "carecontact", *command],
-        cwd=FOLDER, env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)}, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=FOLDER,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        capture_output=True,
+        text=True,
+    )
 
 
+@pytest.mark.slow
 def test_they_run_are_scored_and_stand_in_the_report(tmp_path: Path) -> None:
     done = carecontact_outside(
         "run", "--policy", "outside_press:Press", "--policy-arg", "press_mm=0", "--protocol", "holding-v1.toml",

@@ -1,4 +1,4 @@
-"""An installed package that is wrong: whoever does not use it notices nothing, everyone else reads one line."""
+"""An installed package that is wrong: who does not use it notices nothing, all others read one line."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from carecontact.errors import ConfigError
 from carecontact.interface.regions import REGIONS
 from carecontact.policies.language.backend import Rules
 from carecontact.policies.registry import POLICIES
-from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.gates import ACTIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.recording import read_recording, write_recording
 from carecontact.runs import score_run
 from carecontact.scoring import METRICS
+from carecontact.scoring.behaviour import BEHAVIOURS
 from tests.installed import look_again, write_package
 from tests.scoring.synthetic import make_recording, touch
 
@@ -43,7 +44,7 @@ def faulty(tmp_path: Path) -> Iterator[None]:
     write_package(site, "faulty", version="0.3", files=FILES, points=POINTS)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(site)
-        look_again(patch, BEHAVIOURS, REGIONS, METRICS, POLICIES)
+        look_again(patch, ACTIONS, BEHAVIOURS, REGIONS, METRICS, POLICIES)
         yield
 
 
@@ -102,6 +103,5 @@ def test_a_recording_of_its_region_is_not_called_damaged(tmp_path: Path, monkeyp
     path = tmp_path / "T1-s000.h5"
     write_recording(make_recording("T1"), path)
     monkeypatch.setitem(REGIONS._faults, "forearm", "region 'forearm' cannot be loaded")
-    monkeypatch.setattr(REGIONS, "_settled", set())
     with pytest.raises(ConfigError, match=r"^region 'forearm' cannot be loaded$"):
         read_recording(path)

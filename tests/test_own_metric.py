@@ -24,8 +24,8 @@ def mean_force(contact: Contact) -> float | None:
 """
 COMMANDS = """
 from carecontact.cli import main
-for command in (["score", "a"], ["score", "b", "--jobs", "2"], ["report", "a"], ["compare", "a", "b", "--out", "both"],
-                ["list", "metrics"]):
+for command in (["report", "--rescore", "-v", "a"], ["report", "--rescore", "b", "--jobs", "2"], ["report", "a"],
+                ["compare", "a", "b", "--out", "both"], ["list", "metrics"]):
     print("#", *command)
     assert main(command) == 0
 """
@@ -50,9 +50,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str
     (site / "touch_metrics-1.0.dist-info" / "entry_points.txt").write_text(entry)
     source = Path(carecontact.__file__).parents[1]
     done = subprocess.run(
-        [sys.executable, "-c", COMMANDS], cwd=folder, env={"PYTHONPATH": f"{source}:{site}", "PATH": ""},
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-c", COMMANDS],
+        cwd=folder,
+        env={"PYTHONPATH": f"{source}:{site}", "PATH": ""},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     parts = re.split(r"^# (.*)$", done.stdout, flags=re.MULTILINE)[1:]
     return folder, dict(zip(parts[::2], parts[1::2], strict=True))
@@ -74,7 +77,7 @@ def test_results_hold_its_values_and_medians(place: tuple[Path, dict[str, str]])
 
 def test_the_terminal_shows_its_median(place: tuple[Path, dict[str, str]]) -> None:
     _, printed = place
-    (row,) = [line for line in printed["score a"].splitlines() if line.startswith("mean_force@1 [N] ")]
+    (row,) = [line for line in printed["report --rescore -v a"].splitlines() if line.startswith("mean_force@1 [N] ")]
     assert re.fullmatch(r"mean_force@1 \[N\] +4\.\d{3} +4\.\d{3}", row)
 
 
@@ -94,10 +97,10 @@ def test_results_name_its_package(place: tuple[Path, dict[str, str]]) -> None:
 
 def test_the_comparison_tests_it(place: tuple[Path, dict[str, str]]) -> None:
     folder, printed = place
-    told = printed["compare a b --out both"]
-    assert any(line.startswith("mean_force@1 [N] ") for line in told.splitlines())
-    assert re.search(r"could not have detected any difference: .*\bmean_force@1", told)
-    assert "corrected over 7 rows" in told, "three rates, C1, C4, C5 and this one"
+    message = printed["compare a b --out both"]
+    assert any(line.startswith("mean_force@1 [N] ") for line in message.splitlines())
+    assert re.search(r"could not have detected any difference: .*\bmean_force@1", message)
+    assert "corrected over 7 rows" in message, "three rates, C1, C4, C5 and this one"
     lines = json.loads((folder / "both" / "comparison.json").read_text())["overall"]
     (line,) = [line for line in lines if line["outcome"]["id"] == "mean_force@1"]
     assert line["difference"]["estimate"] < -2.0

@@ -71,18 +71,6 @@ def test_a_name_is_given_once() -> None:
     assert rows["a"] == 1
 
 
-@pytest.mark.usefixtures("points")
-def test_decorator_registers_and_returns_the_function() -> None:
-    rows: Registry[Any] = Registry("thing")
-
-    @rows.decorator("double")
-    def double(x: int) -> int:
-        return 2 * x
-
-    assert rows["double"] is double
-    assert double(4) == 8
-
-
 def test_rows_of_other_packages_come_through_entry_points(points: dict[str, list[Point]]) -> None:
     points["carecontact.things"] = [Point("theirs", 7)]
     points["carecontact.bodies"] = [Point("giant", 8)]
@@ -123,8 +111,10 @@ def test_a_row_that_cannot_be_loaded_is_named_and_harms_no_other(
 
 def test_one_name_of_two_packages_is_refused_and_both_are_named(points: dict[str, list[Point]]) -> None:
     points["carecontact.things"] = [
-        Point("theirs", 7, dist=package("one")), Point("theirs", 8, dist=package("two")), Point("other", 9),
-    ]  # fmt: skip
+        Point("theirs", 7, dist=package("one")),
+        Point("theirs", 8, dist=package("two")),
+        Point("other", 9),
+    ]
     rows: Registry[int] = Registry("thing")
     with pytest.raises(ConfigError, match=r"'theirs' of package one 0\.3 \(.*\) has the same name as .* package two"):
         rows["theirs"]
@@ -135,9 +125,7 @@ def test_a_name_that_is_registered_already_is_refused_unless_it_is_the_same_row(
     points: dict[str, list[Point]],
 ) -> None:
     mine: list[int] = []
-    points["carecontact.things"] = [
-        Point("ours", [], dist=package("theirs")), Point("mine", mine, dist=package("own"))
-    ]  # fmt: skip
+    points["carecontact.things"] = [Point("ours", [], dist=package("theirs")), Point("mine", mine, dist=package("own"))]
     rows: Registry[list[int]] = Registry("thing")
     rows.register("ours", [])
     rows.register("mine", mine)

@@ -75,7 +75,7 @@ def test_other_facts_are_computed(folder: Path, change: dict[str, object]) -> No
         cached("other", FACTS, forbidden)
 
 
-def test_nobody_can_guess_the_name_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_one_can_guess_the_name_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A policy that is isolated may still ask for the times of a file whose path it knows."""
     names = set[str]()
     for machine in ("one", "other"):
@@ -89,7 +89,7 @@ def test_nobody_can_guess_the_name_of_a_file(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("damage", ["truncated", "empty", "changed", "foreign", "unsigned"])
-def test_a_damaged_file_is_not_believed_and_made_anew(folder: Path, damage: str) -> None:
+def test_a_damaged_file_is_not_believed_and_made_again(folder: Path, damage: str) -> None:
     cached("kind", FACTS, made)
     (path,) = folder.iterdir()
     with np.load(path) as z:
@@ -153,15 +153,17 @@ def drawn(folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
 def test_neither_a_backend_nor_a_matplotlibrc_of_the_folder_changes_a_picture(tmp_path: Path) -> None:
     plain = drawn(tmp_path)
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\nfigure.dpi: 10\nbackend: module://nonsense\n")
-    for backend in ("nonsense", "module://nonsense", "TkAgg"):
+    for backend in ("module://nonsense", "TkAgg"):
         assert drawn(tmp_path, MPLBACKEND=backend).stdout == plain.stdout
     assert len(plain.stdout.strip()) == hashlib.sha256().digest_size * 2
 
 
 def test_a_matplotlibrc_that_is_no_text_is_named(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_bytes(b"\xff")
-    told = drawn(tmp_path).stderr.splitlines()[-1]
-    assert told.startswith("carecontact.errors.ConfigError: matplotlib cannot read a matplotlibrc file (in the current")
+    error = drawn(tmp_path).stderr.splitlines()[-1]
+    assert error.startswith(
+        "carecontact.errors.ConfigError: matplotlib cannot read a matplotlibrc file (in the current"
+    )
 
 
 def test_the_settings_of_this_process_come_back() -> None:

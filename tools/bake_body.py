@@ -170,11 +170,13 @@ def bake(name: str, folder: Path) -> Path:
     )
     measured = {k: float(v) for k, v in Anthropometry(model)(output["rest_vertices"]).items()}
     provenance = {
-        "source": "Anny", "package": f"anny {importlib.metadata.version('anny')}",
+        "source": "Anny",
+        "package": f"anny {importlib.metadata.version('anny')}",
         "licence": "code Apache-2.0; MakeHuman / MPFB2 body data CC0",
-        "script": "tools/bake_body.py", "parameters": {**spec, "phenotype": phenotype, "height": height},
+        "script": "tools/bake_body.py",
+        "parameters": {**spec, "phenotype": phenotype, "height": height},
         "measured_by_anny": measured,
-    }  # fmt: skip
+    }
     arrays = {
         "vertices_m": vertices.astype(np.float32),
         "faces": model.faces.numpy().astype(np.uint16),

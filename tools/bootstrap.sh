@@ -12,7 +12,7 @@ say() { printf 'bootstrap: %s\n' "$*" >&2; }
 fail() { say "$@"; exit 1; }
 is_root() { [ "$(id -u)" = 0 ]; }
 
-# Installs Debian packages as root; anyone else is told the line to type.
+# Installs Debian packages as root; another user gets the line to type.
 need_packages() {
     command -v apt-get >/dev/null 2>&1 || fail "install the equivalent of these Debian packages: $*"
     is_root || fail "run this line, then the same command again: sudo apt-get install -y $*"

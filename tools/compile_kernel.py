@@ -57,7 +57,7 @@ def compile_kernel(out: Path, platform: str, *, cache: Path) -> None:
 
 
 def arguments(headers: Path, platform: str, flags: Sequence[str] = binary.FLAGS) -> list[str]:
-    """All that a C compiler is told but the platform, the MuJoCo to link and where to write."""
+    """All arguments of the C compiler but the platform, the MuJoCo to link and where to write."""
     sources = [str(source) for source in sorted(binary.SOURCES.glob("*.c"))]
     define = f'-DCARECONTACT_KERNEL_MARK="{binary.mark(platform)}"'
     no_path = f"-ffile-prefix-map={binary.SOURCES}=."  # __FILE__ would put the folder of the build into the binary
@@ -95,7 +95,7 @@ def mujoco_functions(headers: Path) -> list[str]:
 
 
 def run(command: Sequence[str], *, cache: Path) -> None:
-    """Raises SystemExit with what the compiler said."""
+    """Raises SystemExit with the output of the compiler."""
     folders = {"ZIG_GLOBAL_CACHE_DIR": str(cache), "ZIG_LOCAL_CACHE_DIR": str(cache)}
     done = subprocess.run(command, env={**os.environ, **folders}, capture_output=True, text=True, check=False)
     if done.returncode:

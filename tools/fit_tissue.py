@@ -82,10 +82,12 @@ def law(p: np.ndarray, tissue: Tissue) -> Tissue:
     b = float(p[2] - ROUNDEST * np.sqrt(3 * p[1])) if len(p) > 2 else 0.0
     return tissue.model_copy(
         update={
-            "a_n_m3": a, "b_n_m4": b * a / depth, "c_n_m5": float(p[1]) * a / depth**2,
+            "a_n_m3": a,
+            "b_n_m4": b * a / depth,
+            "c_n_m5": float(p[1]) * a / depth**2,
             "damping_ns_m3": 6 * np.sqrt(a * tissue.areal_mass_kg_m2),
         }
-    )  # fmt: skip
+    )
 
 
 def start(tissue: Tissue, *, bent: bool) -> np.ndarray:
@@ -109,9 +111,7 @@ def fitted(bench: Bench, curve: Curve, places: Places, *, bent: bool) -> Tissue:
 
     p = start(tissue, bent=bent)
     bounds = ([np.log(1e4), 0.0, 0.0][: len(p)], [np.log(1e8), 50.0, 50.0][: len(p)])
-    found = least_squares(
-        residuals, p, bounds=bounds, x_scale=0.3, diff_step=0.01, xtol=1e-3, ftol=1e-4, max_nfev=20
-    ).x  # fmt: skip
+    found = least_squares(residuals, p, bounds=bounds, x_scale=0.3, diff_step=0.01, xtol=1e-3, ftol=1e-4, max_nfev=20).x
     return law(found, tissue)
 
 

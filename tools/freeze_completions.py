@@ -31,8 +31,8 @@ def replay_lines(source: str, prompts: PromptSet) -> str:
     lines = []
     for row in tomllib.loads(source)["completion"]:
         messages = (
-            Message(role="system", content=prompts.system(row["role"])),
-            Message(role="user", content=prompts.user(row["query"])),
+            Message(role="system", content=prompts.roles[row["role"]]),
+            Message(role="user", content=row["query"]),
         )
         request = CompletionRequest(
             model=AUTHORED, messages=messages, max_tokens=MAX_TOKENS, prompt_version=prompts.version

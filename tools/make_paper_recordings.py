@@ -1,7 +1,7 @@
 """The 420 synthetic recordings whose outcomes are those that the paper counts, a folder a method.
 
     python tools/make_paper_recordings.py --out paper
-    carecontact score paper/state-machine
+    carecontact report --rescore paper/state-machine
 
 Nothing in them was simulated or measured: ``tests/scoring/paper_run.py`` says what is laid down and what constructed.
 """

@@ -10,7 +10,7 @@ Two routes:
   fine-mesh  the region's shell with vertices half as far apart, stepped at half the time step; a drawn law, every
              subject stiffer or softer by a few percent, every press a little beside the place that the file records.
 Both add what a recording has: indentation counted from a wrong zero, sensor noise, an offset and a drift of the force,
-noise of the position, and free motion before touch. The seed is drawn anew unless given and is written to ``--truth``
+noise of the position, and free motion before touch. The seed is drawn unless given and is written to ``--truth``
 alone, never into the trials.
 """
 

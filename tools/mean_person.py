@@ -39,8 +39,9 @@ def main() -> None:
     protocol = load_protocol(given.protocol, level=given.level) if given.level else load_protocol(given.protocol)
     seeds = parse_seeds(given.seeds, protocol=protocol)
     first_task = {task.region: task.id for task in reversed(protocol.tasks)}
-    regions = {region: mean_of([seen(protocol, task, region, seed) for seed in seeds])
-               for region, task in first_task.items()}  # fmt: skip
+    regions = {
+        region: mean_of([seen(protocol, task, region, seed) for seed in seeds]) for region, task in first_task.items()
+    }
     found = MeanPerson(
         made_by="tools/mean_person.py", protocol=protocol.title, protocol_sha256=protocol.sha256, seeds=tuple(seeds),
         camera=CAMERA, regions=regions,
@@ -59,12 +60,14 @@ def seen(protocol: Protocol, task_id: str, region: str, seed: int) -> dict[str, 
     support = geometry.support_height_m
     distances, heights = geometry.profile_m.T
     numbers = {
-        "centre": camera[:3, :3].T @ (geometry.centre_m - camera[:3, 3]), "axis": camera[:3, :3].T @ geometry.axis,
-        "radius": geometry.radius_m, "half": geometry.half_length_m,
+        "centre": camera[:3, :3].T @ (geometry.centre_m - camera[:3, 3]),
+        "axis": camera[:3, :3].T @ geometry.axis,
+        "radius": geometry.radius_m,
+        "half": geometry.half_length_m,
         "heights": np.interp(SHARES * geometry.half_length_m, distances, heights),
         "support": np.nan if support is None else geometry.centre_m[2] - support,
         "over": travel_height(truth.skin(), start, geometry.centre_m) - geometry.centre_m[2],
-    }  # fmt: skip
+    }
     return {name: np.asarray(value, np.float64) for name, value in numbers.items()}
 
 
@@ -82,12 +85,14 @@ def mean_of(persons: list[dict[str, np.ndarray]]) -> MeanRegion:
     mean = {name: np.mean([one[name] for one in persons], 0) for name in persons[0]}
     half = float(mean["half"])
     return MeanRegion(
-        centre_in_camera=tuple(mean["centre"].round(5)), axis_in_camera=tuple(mean["axis"].round(5)),
-        radius_m=round(float(mean["radius"]), 5), half_length_m=round(half, 5),
+        centre_in_camera=tuple(mean["centre"].round(5)),
+        axis_in_camera=tuple(mean["axis"].round(5)),
+        radius_m=round(float(mean["radius"]), 5),
+        half_length_m=round(half, 5),
         profile_m=tuple(zip((SHARES * half).round(5), mean["heights"].round(5), strict=True)),
         support_under_m=None if np.isnan(mean["support"]) else round(float(mean["support"]), 5),
         way_over_m=round(float(max(one["over"] for one in persons)), 5),
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

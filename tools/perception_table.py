@@ -5,7 +5,7 @@
 Bodies in turn, comfort angle, skin tone, clothes, hair and light by seed. Each scene is seen three times from
 overhead: robot parked, robot parked with sensor noise, and with the tool 60 mm above each region in turn; and once from
 the wrist, robot parked. Development used seeds below 1000; 5000-5039 were measured once before ``LimbSight.ahead`` was
-there. Scenes that were measured with other code, rules, body or packages are measured anew.
+there. Scenes that were measured with other code, rules, body or packages are measured again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 import carecontact
 from carecontact.episode.perception import PerceptionLog, middle_share, true_target
-from carecontact.episode.randomization import comfort_arm_deg, randomize_appearance, sensor_noise, settle, streams
+from carecontact.episode.randomization import randomize_appearance, sensor_noise, settle, streams
 from carecontact.human.library import body_names
 from carecontact.human.skin import SKIN_TONES, draw_appearance
 from carecontact.interface.observation import Observation
@@ -42,6 +42,7 @@ from carecontact.sensing.keypoints import KeyPoints, MediaPipePose
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, pointing_down
+from carecontact.world.randomization import posture_of
 from carecontact.world.scene import build_scene
 
 Row = dict[str, Any]
@@ -62,9 +63,7 @@ SOURCES = (
 )  # fmt: skip
 """Of the package, what a row depends on."""
 PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")
-CONDITIONS = {
-    "parked": "Robot parked", "noise": "Robot parked, sensor noise", "over": "Tool 60 mm above the region"
-}  # fmt: skip
+CONDITIONS = {"parked": "Robot parked", "noise": "Robot parked, sensor noise", "over": "Tool 60 mm above the region"}
 
 
 class Remembering:
@@ -84,7 +83,7 @@ def scene_rows(protocol: Protocol, seed: int, keypoints: Remembering) -> list[Ro
     model, sha256 = scene.model, scene.model_sha256
     randomize_appearance(scene, seed)
     simulation = Simulation(scene)
-    settle(simulation, comfort_arm_deg(protocol, seed), model_sha256=sha256)
+    settle(simulation, posture_of(protocol, seed, "", 0).comfort_arm_deg, model_sha256=sha256)
     data = simulation.data
     noisy = protocol.model_copy(update={"variation": protocol.variation.model_copy(update=NOISE)})
     rows = []
@@ -215,10 +214,11 @@ def grouped(rows: list[Row], key: str, names: list[str]) -> list[str]:
     """A table of the parked robot's scenes by body or skin tone, and a line that names the groups over a line."""
     called = {"body": "body", "tone": "skin tone"}[key]
     out = [
-        f"Robot parked, by {called}, medians:", "",
+        f"Robot parked, by {called}, medians:",
+        "",
         f"| {called} | scenes | landmarks [px] | human mask, mean IoU | forearm [mm] | upper arm | abdomen |",
         "|---|---|---|---|---|---|---|",
-    ]  # fmt: skip
+    ]
     over = []
     for name in names:
         mine = [r for r in rows if r["condition"] == "parked" and r[key] == name]
@@ -260,8 +260,9 @@ def misses(rows: list[Row]) -> list[str]:
     ious = [float(r["iou"]) for r in parked]
     measured = [
         ("landmark error", float(np.nanmedian(pixels(parked))), LANDMARK_PX, "px", 1),
-        ("mean IoU", float(np.mean(ious)), IOU_MEAN, "", -1), ("least IoU", min(ious), IOU_MIN, "", -1),
-    ]  # fmt: skip
+        ("mean IoU", float(np.mean(ious)), IOU_MEAN, "", -1),
+        ("least IoU", min(ious), IOU_MIN, "", -1),
+    ]
     for region in STANDARD_REGIONS:
         error = targets(rows, "parked", region)
         size = np.linalg.norm(np.where(np.isfinite(error), error, np.inf), axis=1)

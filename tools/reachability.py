@@ -18,25 +18,21 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.episode.base_placement import Base, lying_person
 from carecontact.human.library import body_names
 from carecontact.human.pose import RIGHT_SHOULDER_M
-from carecontact.human.skeleton import body_name
-from carecontact.interface.geometry import matrix_from_quat
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import Protocol
-from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, follow, pointing_down
 from carecontact.world.randomization import Place
-from carecontact.world.scene import build_scene
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-ABOVE_M, BELOW_M, ALONG_M = 0.08, -0.02, 0.06
+ABOVE_M, BELOW_M = 0.08, -0.02
 COMFORT_DEG = (45.0, 52.5, 60.0)
 TOOL_YAWS = np.deg2rad(np.arange(0, 360, 30.0))
 ELBOW_SEEDS = ((0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.0), (0.9, 0.3, -0.9, -2.2, 0.5, 2.2, 0.0),
@@ -72,32 +68,14 @@ class Targets:
 
 
 def person_targets(protocol: Protocol) -> Targets:
-    """Where the shells of the protocol's body lie once it has settled, for every comfort angle."""
-    scene = build_scene(protocol, target=None, skin=False)
-    simulation = Simulation(scene)
-    model, data = scene.model, simulation.data
-    skin, label, arms = [], [], []
-
-    def add(region: str) -> None:
-        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, region)
-        first = model.flex_vertadr[flex]
-        points = data.flexvert_xpos[first : first + model.flex_vertnum[flex]]
-        site = data.site(f"region_{region}")
-        along = site.xmat.reshape(3, 3)[:, 0]
-        for offset in (-ALONG_M, 0.0, ALONG_M):
-            place = site.xpos + offset * along
-            near = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 0.02]
-            skin.append(np.array([*place[:2], near[:, 2].max()]))
-            label.append(region)
-
-    for angle in COMFORT_DEG:
-        simulation.settle(angle)
-        mujoco.mj_forward(model, data)
-        arms.append([data.body(body_name(f"right_{s}")).xpos.copy() for s in ("upper_arm", "forearm", "hand")])
-        add("upper_arm")
-        add("forearm")
-    add("abdomen")
-    return Targets(skin=np.array(skin), label=label, arms=np.array(arms))
+    """Where the skin of the protocol's body lies once it has settled, for every comfort angle; the abdomen's as it lies
+    with the last of them."""
+    people = [lying_person(protocol, angle) for angle in COMFORT_DEG]
+    of_arm = [protocol.regions.index(name) for name in ("upper_arm", "forearm")]
+    abdomen = protocol.regions.index("abdomen")
+    skin = [person.skin[row] for person in people for row in of_arm] + [people[-1].skin[abdomen]]
+    label = [name for _ in people for name in ("upper_arm", "forearm") for _ in range(3)] + ["abdomen"] * 3
+    return Targets(skin=np.concatenate(skin), label=label, arms=np.array([person.limb[:3] for person in people]))
 
 
 def candidate_bases(protocol: Protocol) -> Array:
@@ -142,7 +120,7 @@ def base_yaw_deg(base: Array, targets: Targets) -> float:
 
 def study_base(arm: Arm, base: Array, yaw_deg: float, targets: Targets) -> Study:
     points = targets.poses
-    turn = matrix_from_quat(np.array([np.cos(np.deg2rad(yaw_deg) / 2), 0, 0, np.sin(np.deg2rad(yaw_deg) / 2)]))
+    turn = turned(yaw_deg)
     local = (points - base) @ turn
     n, y, s = len(points), len(TOOL_YAWS), len(ELBOW_SEEDS)
     position = np.repeat(local, y * s, 0)
@@ -204,8 +182,7 @@ def limb_yaws(targets: Targets, start_yaw: float) -> Array:
 
 def study_parked(arm: Arm, base: Array, yaw_deg: float, protocol: Protocol, targets: Targets) -> list[Parked]:
     """Every parked posture of a grid that the overhead camera does not mind, best first."""
-    half = np.deg2rad(yaw_deg) / 2
-    turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
+    turn = turned(yaw_deg)
     spots = np.array(np.meshgrid(np.arange(-0.4, 0.11, 0.1), np.arange(0.5, 0.81, 0.1), (1.0, 1.1))).reshape(3, -1).T
     points = np.concatenate([targets.arms.reshape(-1, 3), targets.skin])
     gap = np.linalg.norm(spots[:, None, :2] - points[None, :, :2], axis=2).min(1)
@@ -256,8 +233,7 @@ class Served:
 
 def serve(arm: Arm, protocol: Protocol, targets: Targets) -> Served:
     base, yaw_deg = np.array(protocol.scene.robot_base_m), protocol.scene.robot_yaw_deg
-    half = np.deg2rad(yaw_deg) / 2
-    turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
+    turn = turned(yaw_deg)
     box = np.array([protocol.impedance.workspace_low_m, protocol.impedance.workspace_high_m])
     study = study_base(arm, base, yaw_deg, targets)
     points = (targets.poses - base) @ turn
@@ -268,13 +244,17 @@ def serve(arm: Arm, protocol: Protocol, targets: Targets) -> Served:
     margin = arm.margin(path.reshape(-1, 7)).reshape(path.shape[:2]).min(0)
     room = float(np.minimum(points - box[0], box[1] - points).min())
     heights = ("above", "below")
-    missed = tuple(f"{targets.label[k % len(targets.label)]} {heights[k // len(targets.label)]}"
-                   for k in np.flatnonzero(~study.reached | (error > 2e-3)))  # fmt: skip
+    missed = tuple(
+        f"{targets.label[k % len(targets.label)]} {heights[k // len(targets.label)]}"
+        for k in np.flatnonzero(~study.reached | (error > 2e-3))
+    )
     worst = int(margin.argmin())
-    text = (f"{'misses ' + ', '.join(missed) if missed or room <= 0 else 'reaches all'}; "
-            f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}; along paths from "
-            f"parked margin {margin.min():.3f} ({targets.label[worst % len(targets.label)]}), error {error.max():.1e}; "
-            f"{room * 1000:.0f} mm inside the workspace")  # fmt: skip
+    text = (
+        f"{'misses ' + ', '.join(missed) if missed or room <= 0 else 'reaches all'}; "
+        f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}; along paths from "
+        f"parked margin {margin.min():.3f} ({targets.label[worst % len(targets.label)]}), error {error.max():.1e}; "
+        f"{room * 1000:.0f} mm inside the workspace"
+    )
     return Served(missed=missed, room_m=room, text=text)
 
 
@@ -310,9 +290,9 @@ def check_places(arm: Arm, protocol: Protocol, most: Place) -> bool:
     for signs in product((-1, 1), repeat=3):
         place, missed = out_of_reach(signs, 1.0)
         lost[signs], gap = middles(missed), board_gap(protocol, place)
-        told = Counter(f"{here.label[k % n]} {'below' if k >= n else 'above'}" for k in missed)
+        lacking = Counter(f"{here.label[k % n]} {'below' if k >= n else 'above'}" for k in missed)
         print(f"{place.along_m:+.3f} m {place.across_m:+.3f} m {place.yaw_deg:+5.1f} deg  "
-              f"out of reach: {', '.join(f'{k} {what}' for what, k in told.items()) or 'nothing'}; "
+              f"out of reach: {', '.join(f'{k} {what}' for what, k in lacking.items()) or 'nothing'}; "
               f"middles to touch of it: {lost[signs]}; board {gap * 1000:.0f} mm off the base", flush=True)  # fmt: skip
     if not any(lost.values()):
         return True
@@ -324,23 +304,20 @@ def check_places(arm: Arm, protocol: Protocol, most: Place) -> bool:
     return False
 
 
+def turned(yaw_deg: float) -> Array:
+    """(3, 3) rotation about the vertical."""
+    return Base(position_m=(0.0, 0.0, 0.0), yaw_deg=yaw_deg).turn
+
+
 def moved(targets: Targets, place: Place) -> Targets:
-    """As ``world.place`` lays the person; it settles there as here, to 3 mm (tests/sim/test_simulation.py)."""
-    shoulder, turn = np.array([*RIGHT_SHOULDER_M, 0.0]), np.deg2rad(place.yaw_deg)
-    rotation = matrix_from_quat(np.array([np.cos(turn / 2), 0, 0, np.sin(turn / 2)]))
-    shift = shoulder + [place.along_m, place.across_m, 0.0]
-    return replace(
-        targets,
-        skin=(targets.skin - shoulder) @ rotation.T + shift,
-        arms=(targets.arms - shoulder) @ rotation.T + shift,
-    )
+    """The targets of the person at a place, who settles there as here, to 3 mm (tests/sim/test_simulation.py)."""
+    return replace(targets, skin=place.moved(targets.skin), arms=place.moved(targets.arms))
 
 
 def board_gap(protocol: Protocol, place: Place) -> float:
     """Horizontal distance of the moved arm board's edge from the base [m]; negative where they meet."""
     low, high = np.array(protocol.scene.board_low_m), np.array(protocol.scene.board_high_m)
-    shoulder, turn = np.array(RIGHT_SHOULDER_M), np.deg2rad(place.yaw_deg)
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    shoulder, rotation = np.array(RIGHT_SHOULDER_M), turned(place.yaw_deg)[:2, :2]
     base = np.array(protocol.scene.robot_base_m[:2]) - [place.along_m, place.across_m] - shoulder
     local = rotation.T @ base + shoulder
     return float(np.linalg.norm(np.maximum(np.maximum(low - local, local - high), 0))) - BASE_RADIUS_M
@@ -350,8 +327,7 @@ def workspace_box(
     base: Array, yaw_deg: float, parked: Parked, protocol: Protocol, targets: Targets
 ) -> tuple[Array, Array]:
     """Box in base around all targets and the parked tool, 0.2 m wider, down to 20 mm under the mattress top."""
-    half = np.deg2rad(yaw_deg) / 2
-    turn = matrix_from_quat(np.array([np.cos(half), 0, 0, np.sin(half)]))
+    turn = turned(yaw_deg)
     points = (np.concatenate([targets.poses, parked.tcp_world[None]]) - base) @ turn
     low, high = points.min(0) - 0.2, points.max(0) + 0.2
     low[2] = protocol.scene.mattress_top_m - 0.02 - base[2]
@@ -439,13 +415,17 @@ def main() -> None:
     for base, yaw_deg, study in rows[: options.finalists]:
         worst = f"margin {study.margin.min():.3f}, manipulability {study.manipulability.min():.3f}"
         shifted = robust.get(tuple(base), float("nan"))
-        print(f"base {base.round(3)} yaw {yaw_deg:.0f} deg: score {study.score:.3f}, with shifts {shifted:.3f}; "
-              f"{worst}, effective mass {study.effective_mass_kg.max():.1f} kg")  # fmt: skip
+        print(
+            f"base {base.round(3)} yaw {yaw_deg:.0f} deg: score {study.score:.3f}, with shifts {shifted:.3f}; "
+            f"{worst}, effective mass {study.effective_mass_kg.max():.1f} kg"
+        )
         found = study_parked(arm, base, yaw_deg, protocol, targets)
         for parked in found[:2]:
-            print(f"  parked {parked.q.round(3)}, tool at {parked.tcp_world.round(2)}; along paths margin "
-                  f"{parked.margin:.3f}, manipulability {parked.manipulability:.3f}, at targets effective mass "
-                  f"{parked.effective_mass_kg:.1f} kg, error {parked.error:.1e}")  # fmt: skip
+            print(
+                f"  parked {parked.q.round(3)}, tool at {parked.tcp_world.round(2)}; along paths margin "
+                f"{parked.margin:.3f}, manipulability {parked.manipulability:.3f}, at targets effective mass "
+                f"{parked.effective_mass_kg:.1f} kg, error {parked.error:.1e}"
+            )
         if found and (best is None or found[0].score > best[2].score):
             best = (base, yaw_deg, found[0])
     if best is None:

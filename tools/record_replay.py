@@ -79,11 +79,11 @@ def rows_of(recording: Recording) -> np.ndarray:
 
 
 def camera_in_base(recording: Recording) -> np.ndarray:
-    """(4, 4) of the overhead camera as a policy was told it, or else as the protocol has it."""
+    """(4, 4) of the overhead camera as the policy knew it, or else as the protocol has it."""
     if BELIEVED in recording.arrays:
-        told = recording[BELIEVED][0, CAMERAS.index(CAMERA)]
-        if np.isfinite(told).all():
-            return pose_matrix(told[:3], told[3:])
+        known = recording[BELIEVED][0, CAMERAS.index(CAMERA)]
+        if np.isfinite(known).all():
+            return pose_matrix(known[:3], known[3:])
     camera = recording.header.spec.protocol.cameras[CAMERA]
     base = pose_matrix(*np.split(np.array(recording.header.pose_base_in_world), [3]))
     in_world = np.eye(4)

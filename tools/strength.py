@@ -39,7 +39,7 @@ LEFT_OUT = (".*", "__pycache__", "build", "dist", "runs")
 """At the top of the tree; below it, only the first two."""
 LEAST_S, PATIENCE = 60, 5
 """With a fault, tests may take so many seconds, and so many times as long as without one; then they count as hung."""
-ROOMS = ("scoring", "scoring/metrics", "scoring/actions", "stats", "serving", "runs", "protocol")
+ROOMS = ("scoring", "scoring/metrics", "stats", "serving", "runs", "protocol")
 """Folders that mutants are drawn from, as many from each; a folder holds what lies below it unless that is listed."""
 SWAPS: dict[type[ast.AST], tuple[str, str]] = {
     ast.Lt: ("<", "<="), ast.LtE: ("<=", "<"), ast.Gt: (">", ">="), ast.GtE: (">=", ">"), ast.Eq: ("==", "!="),

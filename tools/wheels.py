@@ -32,7 +32,7 @@ def main() -> int:
     lief.logging.disable()
     dist, uv = ROOT / "dist", sys.argv[1]
     made = build(uv, ["--sdist", str(ROOT)], dist)
-    print(told(made))
+    print(size_of(made))
     faults: list[str] = []
     for platform in binary.PLATFORMS:
         wheel = build(uv, ["--wheel", str(made)], dist, platform=platform)
@@ -41,18 +41,18 @@ def main() -> int:
             if again.read_bytes() != wheel.read_bytes():
                 faults.append(f"{wheel.name}: a second build gave other bytes")
         faults += [f"{wheel.name}: {fault}" for fault in faults_of(wheel, platform)]
-        print(told(wheel))
+        print(size_of(wheel))
     for fault in faults:
         print(f"FAIL {fault}", file=sys.stderr)
     return 1 if faults else 0
 
 
-def told(file: Path) -> str:
+def size_of(file: Path) -> str:
     return f"{file.relative_to(ROOT)}  {file.stat().st_size / 1e6:.1f} MB"
 
 
 def build(uv: str, arguments: list[str], out: Path, *, platform: str = "") -> Path:
-    """Run `uv build`; return the one file that it wrote or wrote again. Raises SystemExit with what it said."""
+    """Run `uv build`; return the one file that it wrote or wrote again. Raises SystemExit with its output."""
     before = {path: path.stat().st_mtime_ns for path in out.glob("carecontact-*")}
     done = subprocess.run(
         [uv, "build", "--python", sys.executable, "--out-dir", str(out), *arguments],

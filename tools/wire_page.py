@@ -94,7 +94,7 @@ def dumped(data: bytes) -> str:
 
 
 def filled(page: str) -> str:
-    """Return the page with every block between its markers made anew. Raises KeyError for an unknown message."""
+    """Return the page with every block between its markers made again. Raises KeyError for an unknown message."""
     found = messages()
 
     def block(match: re.Match[str]) -> str:

@@ -4,7 +4,7 @@ A file's name is a hash of all that its arrays depend on, so that it is never ou
 ones, so that recordings do not depend, in any bit, on whether arrays were stored.
 
 A settled person is what no policy may see. The folder is closed to a policy that runs isolated
-(``hosting.isolation.allowlist``). The hash has a secret of the folder as its key, because the system still tells such a
+(``serving.process``). The hash has a secret of the folder as its key, because the system still tells such a
 policy the times of every file whose path it can guess, and so which seed's person was just kept.
 """
 

@@ -54,7 +54,7 @@ class ConfigError(CarecontactError):
 
 
 class UnknownNameError(ConfigError, KeyError):
-    """A name that is not registered; lists those that are. Also a KeyError, as ``get`` of a mapping expects."""
+    """A name that is not registered; lists the registered ones. Also a KeyError, as ``get`` of a mapping expects."""
 
     __str__ = Exception.__str__  # KeyError would show the message in quotes
 
@@ -108,22 +108,9 @@ class ProgramError(CarecontactError):
 class PolicyError(CarecontactError):
     """A policy process failed; ``kind`` is one of KINDS and goes into the recording as evidence."""
 
-    KINDS = (
-        "start",
-        "argument",
-        "handshake",
-        "died",
-        "killed",
-        "timeout",
-        "garbage",
-        "oversize",
-        "exception",
-        "action",
-        "language",
-        "program",
-    )
     REPORTED = ("exception", "action", "language", "program", "handshake")
     """Kinds that the policy's own process may report. The benchmark detects all other kinds itself."""
+    KINDS = ("start", "argument", "died", "killed", "timeout", "garbage", "oversize", *REPORTED)
 
     def __init__(self, kind: str, message: str, *, notes: dict[str, object] | None = None) -> None:
         """``notes``: what the policy wanted to be kept of the step that failed."""
@@ -138,7 +125,7 @@ class UnreachableError(PolicyError):
 
 
 class LostError(PolicyError):
-    """Of kind ``died``. Before the first action, the server may just be starting anew."""
+    """Of kind ``died``. Before the first action, the server may just be restarting."""
 
 
 class RecordingError(CarecontactError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pkgutil
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from importlib import import_module, metadata
@@ -31,8 +31,8 @@ class Registry(Mapping[str, T], Generic[T]):
     """Maps a name to a row.
 
     Three places supply rows: ``register``, the modules of the package ``scan``, and other installed packages through
-    the entry-point group ``carecontact.<plural>``. A package's row is loaded when it is looked up, and only that one:
-    a faulty package harms nobody who does not use it.
+    the entry-point group ``carecontact.<plural>``. A package's row is loaded when it is looked up, and only that one,
+    so that a faulty package harms only its own users.
     """
 
     def __init__(
@@ -58,8 +58,8 @@ class Registry(Mapping[str, T], Generic[T]):
         self._origins: dict[str, object] = {}
         self._scan, self._scanned = scan, False
         self._points: dict[str, list[EntryPoint]] | None = None
-        self._settled: set[str] = set()
         self._faults: dict[str, str] = {}
+        """Name that was looked up -> why its package's row cannot be loaded; empty if it can, or no package has it."""
 
     def register(self, name: str, row: T, *, origin: object = None) -> T:
         """Add a row.
@@ -75,9 +75,6 @@ class Registry(Mapping[str, T], Generic[T]):
         self._rows[name] = row
         self._origins[name] = row if origin is None else origin
         return row
-
-    def decorator(self, name: str) -> Callable[[T], T]:
-        return lambda row: self.register(name, row)
 
     def package(self, name: str) -> str | None:
         """The installed package whose entry point supplies the row; None for any other row."""
@@ -99,8 +96,15 @@ class Registry(Mapping[str, T], Generic[T]):
         """Raises UnknownNameError, which lists the valid names, and ConfigError for a row that cannot be loaded or
         whose name several packages have."""
         self._load_scanned()
-        if name not in self._settled:
-            self._settle(name)
+        if name not in self._faults:
+            try:
+                self._load(self._installed().get(name, []))
+            except ConfigError as error:
+                self._faults[name] = str(error)
+                raise
+            self._faults[name] = ""
+        if self._faults[name]:
+            raise ConfigError(self._faults[name])
         try:
             return self._rows[name]
         except KeyError:
@@ -133,17 +137,6 @@ class Registry(Mapping[str, T], Generic[T]):
                 self._points.setdefault(point.name, []).append(point)
         return self._points
 
-    def _settle(self, name: str) -> None:
-        """Load the row of this name that a package supplies, if one does; a fault stays as it was first found."""
-        if name in self._faults:
-            raise ConfigError(self._faults[name])
-        try:
-            self._load(self._installed().get(name, []))
-        except ConfigError as error:
-            self._faults[name] = str(error)
-            raise
-        self._settled.add(name)
-
     def _load(self, points: list[EntryPoint]) -> None:
         if not points:
             return
@@ -153,7 +146,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 raise ConfigError(f"{title} has the same name as {self._title(other)}; rename or uninstall one of them")
         try:
             found = point.load()
-        except Exception as error:  # a stranger's module may raise anything
+        except Exception as error:  # another package's module may raise anything
             why = "" if isinstance(error, CarecontactError) else f"{type(error).__name__}: "
             raise ConfigError(f"{title} cannot be loaded: {why}{' '.join(str(error).split())}") from error
         if point.name not in self._rows:

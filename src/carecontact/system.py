@@ -1,5 +1,5 @@
-"""What a process asks of the operating system: to end with its parent, whether processes or memory are used up or a
-file system has no locks, and where the cache lies."""
+"""What a process asks of the system: to end with its parent, whether processes or memory are used up or a file system
+has no locks, which release of a package is installed, and where the cache lies."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import os
 import signal
 import struct
 import sys
+from importlib import metadata
 from pathlib import Path
 
 from carecontact.errors import ExhaustedError
-
-# Requests of a process to the kernel about itself. Each does nothing on a system whose kernel lacks it.
 
 SET_PARENT_DEATH_SIGNAL, SET_CHILD_SUBREAPER, NO_NEW_PRIVILEGES = 1, 36, 38
 """linux/prctl.h"""
@@ -57,9 +56,6 @@ def drop_capabilities() -> None:
         libc.syscall(number, header, struct.pack("=6I", left, left, 0, 0, 0, 0))
 
 
-# Recognizes the errors of the system that say nothing about a trial: no further process, thread or memory, or a file
-# system without locks.
-
 NO_MORE = frozenset({errno.EAGAIN, errno.ENOMEM})
 """Error numbers of fork(2): too many processes, among which threads count, or too little memory."""
 NO_LOCKS = frozenset({errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.EBADF})
@@ -74,20 +70,26 @@ def is_exhausted(error: BaseException) -> bool:
     """Whether an error, or one that led to it, says that something is used up."""
     seen: BaseException | None = error
     while seen is not None:
-        if isinstance(seen, ExhaustedError | MemoryError):
-            return True
-        if isinstance(seen, OSError) and seen.errno in NO_MORE:
-            return True
-        if isinstance(seen, RuntimeError) and NO_THREAD in str(seen):
+        if (
+            isinstance(seen, ExhaustedError | MemoryError)
+            or (isinstance(seen, OSError) and seen.errno in NO_MORE)
+            or (isinstance(seen, RuntimeError) and NO_THREAD in str(seen))
+        ):
             return True
         seen = seen.__cause__ or seen.__context__
     return False
 
 
-# The folder in which the benchmark keeps what it would otherwise compute in every trial (``world.kept``).
+def installed_version(package: str) -> str | None:
+    """Return the version of a distribution; None if it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
 
 CACHE_VARIABLE = "CARECONTACT_CACHE"
-"""Environment variable with the path of the folder; if it is empty, nothing is kept."""
+"""Environment variable with the path of the folder of kept files; if it is empty, nothing is kept."""
 
 
 def cache_folder() -> Path | None:

@@ -129,7 +129,7 @@ def test_a_run_is_not_compared_with_itself(runs: Path, b: str) -> None:
 
 def test_messages_of_scores_name_no_option_of_a_command(runs: Path) -> None:
     (runs / "a" / "results.json").unlink()
-    with pytest.raises(ConfigError, match=r"`carecontact score .*`, or load it with rescore=True$"):
+    with pytest.raises(ConfigError, match=r"`carecontact report --rescore .*`, or load it with rescore=True$"):
         cc.load(runs / "a")
 
 
@@ -145,7 +145,7 @@ def test_a_recording_lists_its_arrays_and_names_them_when_one_is_not_there(runs:
         recording[0]  # type: ignore[index]
 
 
-def test_wrong_names_are_told_with_the_right_ones(runs: Path) -> None:
+def test_wrong_names_are_named_with_the_right_ones(runs: Path) -> None:
     run = cc.load(runs / "a")
     with pytest.raises(ConfigError, match="has no recording of 0; it has T1-s000 to T2-s000"):
         run.recordings[0]  # type: ignore[index]
@@ -156,7 +156,7 @@ def test_wrong_names_are_told_with_the_right_ones(runs: Path) -> None:
         run.trials(3)  # type: ignore[arg-type]
 
 
-def test_a_place_that_is_no_run_is_told(runs: Path) -> None:
+def test_a_place_that_is_no_run_is_named(runs: Path) -> None:
     with pytest.raises(ConfigError, match=r"load the run's folder, then .* run\.recordings\['T1-s000'\]"):
         cc.load(runs / "a" / "T1-s000.h5")
     with pytest.raises(ConfigError, match=r"^3 is no place of a run; name its folder"):
@@ -242,7 +242,7 @@ def test_what_cannot_be_evaluated_is_refused_before_anything_runs(tmp_path: Path
         pass
 
     out = tmp_path / "a"
-    for options, told in (
+    for options, message in (
         ({"policy": Local}, "policy .*Local: another process cannot import it"),
         ({"policy": object()}, "the object object has no card and no reset and no act"),
         ({"policy": Still(), "jobs": 2}, "jobs=2: a policy object answers one trial at a time"),
@@ -251,7 +251,7 @@ def test_what_cannot_be_evaluated_is_refused_before_anything_runs(tmp_path: Path
         ({"policy": "hover", "overrides": {"physics.dt": 1}}, "physics.dt"),
         ({"policy": "tests.api.still:Nobody"}, "does not start: .*Nobody"),
     ):
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             cc.evaluate(**{"out": out, "tasks": "T1", "seeds": 0, **options})
     assert not out.exists()
 

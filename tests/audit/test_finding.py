@@ -24,11 +24,11 @@ SAYS = (
 
 
 def test_the_last_line_is_what_it_says(tmp_path: Path) -> None:
-    said = finding.output_of(SAYS, tmp_path, environment={"MUJOCO_GL": "egl"})
-    assert said == {"got": str(tmp_path), "gl": "egl"}
+    answer = finding.output_of(SAYS, tmp_path, environment={"MUJOCO_GL": "egl"})
+    assert answer == {"got": str(tmp_path), "gl": "egl"}
 
 
-def test_what_breaks_or_hangs_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_breaks_or_hangs_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(CarecontactError, match="ended with status 1: no such luck"):
         finding.output_of("raise SystemExit('no such luck')", tmp_path)
     monkeypatch.setattr(finding, "LONGEST_S", 0.2)
@@ -92,7 +92,7 @@ def test_equal_to_the_last_bit(value: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("expected", "got", "place", "told"),
+    ("expected", "got", "place", "text"),
     [
         ({"a": 1}, {"a": 1, "seed": 3}, "m.seed", "is present"),
         ({"a": 1, "b": 2}, {"a": 1}, "m.b", "is missing"),
@@ -106,10 +106,10 @@ def test_equal_to_the_last_bit(value: object) -> None:
         (NAN, np.array([1.0, 2.0], np.float32), "m", "1 of 2 numbers differ"),
     ],
 )
-def test_a_difference_is_named(expected: object, got: object, place: str, told: str) -> None:
+def test_a_difference_is_named(expected: object, got: object, place: str, text: str) -> None:
     ((where, what),) = differences(expected, got, "m")
     assert where == place
-    assert what.startswith(told)
+    assert what.startswith(text)
 
 
 @pytest.mark.slow

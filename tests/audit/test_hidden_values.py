@@ -156,7 +156,7 @@ def test_each_leak_is_named_and_nothing_else(begin: Callable[[TrialSpec], World]
             seen = watch(SPEC, policy="hover", prepare=begin, log=tmp_path / where)
         assert seen.error is None
     parts = audit_derivation(tmp_path, []), audit_readings(tmp_path, [])
-    named = {w: tuple({f.place for f in part.findings if f" {w}:" in f.told} for part in parts) for w in FOUND}
+    named = {w: tuple({f.place for f in part.findings if f" {w}:" in f.detail} for part in parts) for w in FOUND}
     assert named == FOUND
 
 
@@ -171,8 +171,8 @@ def test_a_next_movement_in_the_session(begin: Callable[[TrialSpec], World], tmp
     with pytest.MonkeyPatch.context() as patch:
 
         def leaky(self: Episode) -> Session:
-            told = session.__get__(self)
-            return dataclasses.replace(told, time_limit_s=told.time_limit_s + hidden(self.simulation.model)["next"])
+            facts = session.__get__(self)
+            return dataclasses.replace(facts, time_limit_s=facts.time_limit_s + hidden(self.simulation.model)["next"])
 
         patch.setattr(Episode, "session", property(leaky))
         starts = two_starts(quiet, Parked, folder=tmp_path)  # pyright: ignore[reportArgumentType]

@@ -54,7 +54,7 @@ def test_a_privileged_key_on_the_wire(monkeypatch: pytest.MonkeyPatch, keyframe:
     part = audit_schema([seen])
     assert not part.passed
     assert [(f.policy, f.place) for f in part.findings] == [("zero-action", "observation.contact_force")]
-    assert "unknown key contact_force" in part.findings[0].told
+    assert "unknown key contact_force" in part.findings[0].detail
 
 
 def test_landmarks_of_the_simulator(
@@ -170,9 +170,9 @@ def leaky_pair(
         patch.setattr(Episode, "session", property(leaky_session))
         pair: list[Watched] = []
         for one, prepare in ((spec, keyframe.near), (other_hidden_values(spec), keyframe.twin)):
-            told = f"run {one.trial_id}"
-            patch.setattr(process, "_environment", lambda setup, told=told: {**environment(setup), "LANG": told})
-            patch.setattr(process, "_options", lambda *args, told=told, **fds: {**options(*args, **fds), "run": told})
+            run = f"run {one.trial_id}"
+            patch.setattr(process, "_environment", lambda setup, run=run: {**environment(setup), "LANG": run})
+            patch.setattr(process, "_options", lambda *args, run=run, **fds: {**options(*args, **fds), "run": run})
             pair.append(
                 press(one, card=BLIND, poses=keyframe.poses, prepare=prepare, actions_per_look=1, folder=folder)
             )
@@ -185,7 +185,7 @@ def test_the_seed_in_the_handshake(leaky_pair: tuple[Watched, Watched]) -> None:
     part = audit_handshake(*leaky_pair)
     assert not part.passed
     assert places(part) == {"session.time_limit_s", "environment.LANG", "options.run"}
-    assert any("T1-s000" in finding.told for finding in part.findings)
+    assert any("T1-s000" in finding.detail for finding in part.findings)
 
 
 def test_the_person_s_arm_in_session_and_encoders(
@@ -202,8 +202,8 @@ def test_the_person_s_arm_in_session_and_encoders(
         settled_deg.append(self._settled.comfort_arm_deg)
 
     def leaky_session(self: Episode) -> Session:
-        told = session.__get__(self)
-        return dataclasses.replace(told, time_limit_s=told.time_limit_s + 1e-6 * self.simulation.comfort_arm_deg())
+        facts = session.__get__(self)
+        return dataclasses.replace(facts, time_limit_s=facts.time_limit_s + 1e-6 * self.simulation.comfort_arm_deg())
 
     monkeypatch.setattr(Episode, "__init__", leaky_begin)
     monkeypatch.setattr(Episode, "session", property(leaky_session))

@@ -54,7 +54,7 @@ def test_forces_in_time_speed_and_the_last_bits_of_a_pose(
     part = audit_readings(tmp_path / "logs", [pressed])
     fields = {"observation.sim_time_s", "observation.joint_velocity", "observation.pose_tcp_in_base"}
     assert places(part) == fields | {"policy/observation_time_s"}
-    late = {f.told.split()[1] for f in part.findings if f.place == "observation.joint_velocity"}
+    late = {f.detail.split()[1] for f in part.findings if f.place == "observation.joint_velocity"}
     assert late == {f"{time_s:.3f}" for time_s in looks[LATE - 1 :]}
     assert part.counts == {"looks": len(looks), "looks timed": len(looks)}
 
@@ -103,7 +103,9 @@ def test_what_a_picture_cannot_show(
     last_force.newton = 0.0
     pressed("leaky")
     part = audit_readings(logs, [])
-    found = {(f.place.removeprefix("observation.cameras.overhead."), *f.told.split()[1::3][:2]) for f in part.findings}
+    found = {
+        (f.place.removeprefix("observation.cameras.overhead."), *f.detail.split()[1::3][:2]) for f in part.findings
+    }
     before, after = "0.000", "0.400"
     assert found == {
         *((image, time_s, "leaky:") for image in ("rgb", "cell_depth") for time_s in (before, after)),
@@ -134,7 +136,7 @@ def test_declared_noise_is_no_leak_and_no_hiding_place(
     monkeypatch.setattr(SensorNoise, "joint_position", leaky)
     start("leaky")
     part = audit_readings(tmp_path / "logs", [])
-    assert {f.told.split()[4] for f in part.findings} == {"leaky:"}
+    assert {f.detail.split()[4] for f in part.findings} == {"leaky:"}
     assert "observation.joint_position" in places(part)
     assert "observation.cameras.wrist.depth" not in places(part)
 

@@ -17,7 +17,7 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.sensing.builder import ALLOWED_IN_VIEW
 from carecontact.serving import codec, openpi, vla_eval
-from carecontact.serving.packing import pack
+from carecontact.serving.packing import pack, unpack
 from carecontact.serving.sent_message import rebuilt_message, unpacked_message
 from tests.audit.conftest import places
 from tests.audit.test_planted_leaks import short
@@ -173,10 +173,10 @@ def test_what_is_planted_in_each_message_of_vla_eval(
     honest = vla_eval.message
 
     def leaky(of: str, payload: dict[str, Any], *, seq: int) -> bytes:
-        told = dict(payload)
+        changed = dict(payload)
         if of == kind:
-            change(told)
-        return honest(of, told, seq=seq)
+            change(changed)
+        return honest(of, changed, seq=seq)
 
     monkeypatch.setattr(vla_eval, "message", leaky)
     found = dialect_places("vla-eval")
@@ -193,7 +193,7 @@ def test_what_is_planted_in_vla_evals_envelope(monkeypatch: pytest.MonkeyPatch, 
 
 
 def _trusted(frame: bytes) -> Any:
-    return vla_eval.unpack(frame)["payload"]
+    return unpack(frame)["payload"]
 
 
 def test_privileged_words_are_named_wherever_they_are_not_on_the_list() -> None:
@@ -201,8 +201,8 @@ def test_privileged_words_are_named_wherever_they_are_not_on_the_list() -> None:
     honest = unpacked_message(sent[0], "openpi")
     from carecontact.serving.openpi import pack
 
-    (told,) = check_conversation([pack({**honest, "task": 1})], card, instruction=INSTRUCTION)
-    assert told == (
+    (found,) = check_conversation([pack({**honest, "task": 1})], card, instruction=INSTRUCTION)
+    assert found == (
         "request.task",
         "this key is not on the dialect's list and holds a word of privileged information; no policy may receive it",
     )
@@ -261,7 +261,7 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sent", "card", "place", "told"),
+    ("sent", "card", "place", "text"),
     [
         ({**message(), "seed": 3}, ALL, "message", "got ['observation', 'seed', 'type']"),
         ([1], ALL, "message", "got list"),
@@ -284,9 +284,9 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_named(sent: object, card: PolicyCard | None, place: str, told: str) -> None:
+def test_what_is_wrong_is_named(sent: object, card: PolicyCard | None, place: str, text: str) -> None:
     found = check_message(pack(sent), card, joints=7)
-    assert any(where == place and told in what for where, what in found), found
+    assert any(where == place and text in reason for where, reason in found), found
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_only_a_run_that_claims_a_pace_can_fail(
     part = audit_time([recording])
     assert part.passed == passed
     write_recording(recording, tmp_path / f"{recording.header.spec.trial_id}.h5")
-    assert main(["audit", "--run", str(tmp_path)]) == (0 if passed else 1)
+    assert main(["verify", "leaks", "--run", str(tmp_path)]) == (0 if passed else 1)
     assert says in capsys.readouterr().out
 
 
@@ -97,12 +97,12 @@ def test_a_paced_run_without_contact_has_nothing_to_examine(tmp_path: Path, caps
     recording = timed(silent, pace=0.2)
     quiet = {**recording.arrays, "scorer/normal_force": np.zeros_like(recording["scorer/normal_force"])}
     write_recording(replace(recording, arrays=quiet), tmp_path / f"{recording.header.spec.trial_id}.h5")
-    assert main(["audit", "--run", str(tmp_path)]) == 0
+    assert main(["verify", "leaks", "--run", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert out.startswith("none  time")
     assert "with a pace: nothing to examine, because no trial has intervals both with and without contact" in out
 
 
 def test_what_is_given_with_a_run(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["audit", "--run", "somewhere", "--quick"]) == 2
-    assert "leave out --policy, --quick, --tasks and --seed" in capsys.readouterr().err
+    assert main(["verify", "leaks", "--run", "somewhere", "--quick"]) == 2
+    assert "--run examines only recordings; leave out --quick" in capsys.readouterr().err

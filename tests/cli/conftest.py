@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import carecontact
+from carecontact.report import baselines
 from carecontact.running import supervisor
 from tests.replay.conftest import pressed, pressed_file
 from tests.sensing.test_segmentation import weights
@@ -20,7 +21,8 @@ FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
-    """Runs of the command line have workers that only write recordings."""
+    """Runs of the command line have workers that only write recordings, and no kept scores stand beside them."""
+    monkeypatch.setattr(baselines, "shipped_scores_for", lambda run, named, folders=(): ([], "None is kept."))
     monkeypatch.setattr(supervisor, "run_trials", functools.partial(supervisor.run_trials, worker_command=FAKE))
     monkeypatch.setenv("FAKE_LOG", str(tmp_path / "ran.txt"))
     monkeypatch.setenv("FAKE_PLAN", "{}")

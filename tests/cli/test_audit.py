@@ -1,4 +1,4 @@
-"""The quick audit of every registered policy, as anybody would run it, and what ends it."""
+"""The quick audit, as anyone would run it, and what ends it."""
 
 from __future__ import annotations
 
@@ -17,31 +17,38 @@ from tests.audit.conftest import send_a_privileged_key
 AUDITED = [name for name in POLICIES if role_of(name) != "privileged"]
 
 
-def test_nothing_leaks_to_any_registered_policy_on_the_hardest_level(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("options", "audited", "privileged"),
+    [
+        (["--policy", "state-machine"], ["state-machine"], []),
+        pytest.param([], AUDITED, ["oracle"], marks=pytest.mark.slow, id="every registered policy"),
+    ],
+)
+def test_nothing_leaks_on_the_hardest_level(
+    options: list[str], audited: list[str], privileged: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hardest = ["--protocol", "bathing-wide-v2-draft", "--level", "L3", "--seed", "5"]
-    assert main(["audit", "--quick", *hardest, "-o", str(tmp_path / "audit")]) == 0
+    hardest = ["--protocol", "bathing-wide-v2-draft", "--level", "L3", "--seed", "5", *options]
+    assert main(["verify", "leaks", "--quick", *hardest, "-o", str(tmp_path / "audit")]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith(f"bathing-wide-v2-draft L3, seed 5, man-adult-light, quick: {', '.join(AUDITED)}\n")
+    assert printed.startswith(f"bathing-wide-v2-draft L3, seed 5, man-adult-light, quick: {', '.join(audited)}\n")
     rows = [line.split()[:2] for line in printed.splitlines() if line.startswith(("pass ", "FAIL "))]
     assert rows == [["pass", name] for name in ("re-derivation", "readings", "frozen", "canary", "handshake", "schema")]
-    said = json.loads((tmp_path / "audit" / "audit.json").read_text())
-    assert said["schema"] == "carecontact-audit-1"
-    assert said["passed"] is True
-    assert (said["protocol"]["id"], said["protocol"]["level"], said["protocol"]["seed"]) == (
+    record = json.loads((tmp_path / "audit" / "audit.json").read_text())
+    assert record["schema"] == "carecontact-audit-1"
+    assert record["passed"] is True
+    assert (record["protocol"]["id"], record["protocol"]["level"], record["protocol"]["seed"]) == (
         "bathing-wide-v2-draft L3", "L3", 5,
     )  # fmt: skip
-    assert (said["policies"], said["privileged"]) == (AUDITED, ["oracle"])
-    counts = {part["part"]: part["counts"] for part in said["parts"]}
-    assert counts["schema"] == {"trials": len(AUDITED), "messages": len(AUDITED)}
-    assert "1 card, " in printed
+    assert (record["policies"], record["privileged"]) == (audited, privileged)
+    counts = {part["part"]: part["counts"] for part in record["parts"]}
+    assert counts["schema"] == {"trials": len(audited), "messages": len(audited)}
+    assert "cards: 1, " in printed
     # The press that is seen, at every third action, and the blind one at every action.
     # How many of them are in contact depends on the laws of the tissue, which may change while the protocol is a draft.
     assert 8 <= counts["re-derivation"]["observations in contact"] <= 3 + 9
     # One of each policy, and those of both presses until a while after their first contact.
-    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] > len(AUDITED) + 16
-    assert counts["readings"]["images drawn again"] > 30
+    assert counts["readings"]["looks"] == counts["readings"]["looks timed"] > len(audited) + 16
+    assert counts["readings"]["images drawn again"] > 20 + len(audited)
     assert counts["canary"]["observations before contact"] >= 2
     assert counts["frozen frames"]["fields of the world scrambled"] > 100
 
@@ -50,22 +57,22 @@ def test_a_leak_ends_with_status_1_and_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     send_a_privileged_key(monkeypatch)
-    assert main(["audit", "--quick", "--policy", "zero-action", "--tasks", "T1,T3", "-o", str(tmp_path)]) == 1
+    assert main(["verify", "leaks", "--quick", "--policy", "zero-action", "--tasks", "T1,T3", "-o", str(tmp_path)]) == 1
     printed = capsys.readouterr().out
     # Both tasks are on the forearm, which is pressed once, with a card that names the policy once.
     assert printed.count("running two presses on the forearm with the card of zero-action\n") == 1
     assert printed.count("running two presses") == 1
     assert printed.splitlines()[-1] == f"FAILED: {tmp_path / 'audit.json'}"
-    said = json.loads((tmp_path / "audit.json").read_text())
-    assert said["passed"] is False
-    assert [row["task"] for row in said["trials"]] == ["T1", "T3"]
-    named = {part["part"]: {f["place"] for f in part["findings"]} for part in said["parts"]}
+    record = json.loads((tmp_path / "audit.json").read_text())
+    assert record["passed"] is False
+    assert [row["task"] for row in record["trials"]] == ["T1", "T3"]
+    named = {part["part"]: {f["place"] for f in part["findings"]} for part in record["parts"]}
     assert named["schema"] == named["canary"] == {"observation.contact_force"}
     assert "zero-action: observation.contact_force: the trial failed" in printed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--policy", "no-such"], "no policy named 'no-such'; valid: feint-and-wait, hover"),
         (["--policy", "oracle"], "oracle: this policy is privileged"),
@@ -77,11 +84,13 @@ def test_a_leak_ends_with_status_1_and_its_name(
         (["--policy", "nowhere:Policy"], "does not start"),
     ],
 )
-def test_what_cannot_be_audited_is_told(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["audit", "--quick", *arguments]) == 2
-    said = capsys.readouterr()
-    assert told in said.err
-    assert said.out == ""
+def test_what_cannot_be_audited_is_named(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["verify", "leaks", "--quick", *arguments]) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert printed.out == ""
 
 
 # The secret of a run: made, committed to, used by every trial, revealed and verified.
@@ -91,9 +100,9 @@ RUN = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-1", "--salt-fi
 
 @pytest.fixture
 def made(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> str:
-    """The hash that `salt make` prints. Recordings of the fake workers hold nothing that was drawn."""
+    """The hash that `protocol salt make` prints. Recordings of the fake workers hold nothing that was drawn."""
     fake.setattr(audit_salt, "drawn_again", lambda recording, salt: [])
-    assert main(["salt", "make", "salt.txt"]) == 0
+    assert main(["protocol", "salt", "make", "salt.txt"]) == 0
     return capsys.readouterr().out.split()[-1]
 
 
@@ -106,7 +115,7 @@ def test_a_salt_is_a_private_file_whose_bytes_have_the_printed_hash(made: str) -
     assert hashlib.sha256(content).hexdigest() == made
     assert len(content) == 64
     assert Path("salt.txt").stat().st_mode & 0o777 == 0o600
-    assert main(["salt", "make", "salt.txt"]) == 2
+    assert main(["protocol", "salt", "make", "salt.txt"]) == 2
     assert Path("salt.txt").read_bytes() == content
 
 
@@ -122,39 +131,39 @@ def test_a_run_states_the_hash_and_never_the_salt_until_it_is_revealed(
     assert {row["world"]["salt"] for row in json.loads(Path("r/results.json").read_text())["trials"]} == {made}
     assert f'<th scope="row">Salt sha256</th><td class="hash">{made}</td>' in Path("r/report.html").read_text()
 
-    assert main(["salt", "verify", "r"]) == 2
+    assert main(["protocol", "salt", "verify", "r"]) == 2
     assert "the salt is not revealed yet" in capsys.readouterr().err
     before = Path("r/T1-s000.h5").read_bytes()
-    assert main(["salt", "reveal", "r", "--salt-file", "salt.txt"]) == 0
+    assert main(["protocol", "salt", "reveal", "r", "--salt-file", "salt.txt"]) == 0
     assert manifest("r")["salt"] == salt
     assert Path("r/T1-s000.h5").read_bytes() == before
     assert main([*RUN, "--out", "r"]) == 0, "and the run still goes on"
     assert manifest("r")["salt"] == salt
     capsys.readouterr()
-    assert main(["salt", "verify", "r"]) == 0
+    assert main(["protocol", "salt", "verify", "r"]) == 0
     assert f"verified: sha256 {made}, 2 recordings" in capsys.readouterr().out
 
 
 def test_another_salt_is_neither_revealed_nor_verified(made: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*RUN, "--out", "r"]) == 0
-    assert main(["salt", "make", "other.txt"]) == 0
-    assert main(["salt", "reveal", "r", "--salt-file", "other.txt"]) == 2
+    assert main(["protocol", "salt", "make", "other.txt"]) == 0
+    assert main(["protocol", "salt", "reveal", "r", "--salt-file", "other.txt"]) == 2
     assert f"whose sha256 is {made}" in capsys.readouterr().err
     # Somebody edits the manifest by hand.
     content = manifest("r") | {"salt": Path("other.txt").read_text()}
     Path("r/manifest.json").write_text(json.dumps(content))
-    assert main(["salt", "verify", "r"]) == 1
+    assert main(["protocol", "salt", "verify", "r"]) == 1
     content["salt_sha256"] = hashlib.sha256(Path("other.txt").read_bytes()).hexdigest()
     Path("r/manifest.json").write_text(json.dumps(content))
     capsys.readouterr()
-    assert main(["salt", "verify", "r"]) == 1
+    assert main(["protocol", "salt", "verify", "r"]) == 1
     assert f"T1-s001.h5: it names the salt {made}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("salt", [[], ["--salt-file", "other.txt"]])
 def test_a_folder_has_one_salt(made: str, salt: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*RUN, "--out", "r"]) == 0
-    assert main(["salt", "make", "other.txt"]) == 0
+    assert main(["protocol", "salt", "make", "other.txt"]) == 0
     assert main([*RUN[:-2], *salt, "--out", "r"]) == 2
     assert "started with another --salt-file" in capsys.readouterr().err
 
@@ -162,33 +171,33 @@ def test_a_folder_has_one_salt(made: str, salt: list[str], capsys: pytest.Captur
 def test_parts_share_a_salt_and_their_merge_keeps_it(made: str, capsys: pytest.CaptureFixture[str]) -> None:
     for k in (1, 2):
         assert main([*RUN, "--shard", f"{k}/2", "--out", f"part-{k}"]) == 0
-    assert main(["salt", "reveal", "part-2", "--salt-file", "salt.txt"]) == 0
+    assert main(["protocol", "salt", "reveal", "part-2", "--salt-file", "salt.txt"]) == 0
     assert main(["merge", "merged", "part-1", "part-2"]) == 0
     assert (manifest("merged")["salt_sha256"], manifest("merged")["salt"]) == (made, Path("salt.txt").read_text())
-    assert main(["salt", "verify", "merged"]) == 0
+    assert main(["protocol", "salt", "verify", "merged"]) == 0
     assert main([*RUN[:-2], "--shard", "2/2", "--out", "unsalted"]) == 0
     capsys.readouterr()
     assert main(["merge", "mixed", "part-1", "unsalted"]) == 2
     assert "different salts" in capsys.readouterr().err
     assert main(["compare", "part-2", "unsalted", "--allow-incomplete"]) == 2
-    told = capsys.readouterr().err
-    assert f"salt {made[:12]}" in told
-    assert "run both with the same --salt-file, or both without" in told
+    printed = capsys.readouterr().err
+    assert f"salt {made[:12]}" in printed
+    assert "run both with the same --salt-file, or both without" in printed
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "message"),
     [
-        (["salt", "verify", "nothing"], "is not a run"),
-        (["salt", "make", "new.txt", "--salt-file", "salt.txt"], "`salt reveal RUN` needs it, and only that"),
-        (["salt", "reveal", "nothing"], "`salt reveal RUN` needs it"),
+        (["protocol", "salt", "verify", "nothing"], "is not a run"),
+        (["protocol", "salt", "make", "new.txt", "--salt-file", "salt.txt"], "RUN` needs it, and only that"),
+        (["protocol", "salt", "reveal", "nothing"], "`protocol salt reveal RUN` needs it"),
         ([*RUN[:-1], "none.txt", "--out", "r"], "--salt-file none.txt: cannot be read"),
         ([*RUN[:-1], "short.txt", "--out", "r"], "expected 64 hexadecimal digits"),
         ([*RUN, "--noise-salt", "0a" * 16, "--out", "r"], "--salt-file decides the sensor noise too"),
     ],
 )
-def test_mistakes(made: str, command: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes(made: str, command: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     Path("short.txt").write_text("12ab\n")
     assert main(command) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not Path("nothing").exists()

@@ -45,14 +45,14 @@ def test_one_picture_of_every_camera(
 
     monkeypatch.setattr("carecontact.episode.episode.first_look", first_look)
     monkeypatch.chdir(tmp_path)
-    assert main(["look", "--task", "T3", "--seed", "7", "--body", "man-old-light", "--tool", "mitt"]) == 0
-    assert capsys.readouterr().out.startswith("look-T3-s007.png: T3 seed 7")
-    assert Path("look-T3-s007.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["view", "--start", "--task", "T3", "--seed", "7", "--body", "man-old-light", "--tool", "mitt"]) == 0
+    assert capsys.readouterr().out.startswith("start-T3-s007.png: T3 seed 7")
+    assert Path("start-T3-s007.png").read_bytes().startswith(b"\x89PNG")
     card = asked.pop("card")
     changed = {"body": "man-old-light", "tool": "mitt"}
     assert asked == {"title": asked["title"], "task_id": "T3", "seed": 7, "weights": None, "salt": "", **changed}
     assert (card.modalities, card.cameras) == (MODALITIES, CAMERAS)
-    assert main(["look", "--task", "T1", "--protocol", "bathing-wide-v2-draft", "--level", "L2"]) == 0
+    assert main(["view", "--start", "--task", "T1", "--protocol", "bathing-wide-v2-draft", "--level", "L2"]) == 0
     assert asked["title"] == "bathing-wide-v2-draft L2"
 
 
@@ -67,12 +67,12 @@ def test_exit_status_and_output(
     for name in ("check_python", "check_packages", "check_opengl", "check_pose", "check_assets"):
         monkeypatch.setattr(machine, name, lambda **_: finding)
     assert Doctor()() == status
-    told = capsys.readouterr().out
-    assert ("install it with: do this" in told) is not fine
+    printed = capsys.readouterr().out
+    assert ("install it with: do this" in printed) is not fine
 
 
 @pytest.mark.parametrize(
-    ("landlock", "namespaces", "user", "told"),
+    ("landlock", "namespaces", "user", "message"),
     [
         (7, True, 1000, ["ok   isolation  full: namespaces and Landlock\n"]),
         (7, True, 0, ["warn isolation  full: namespaces and Landlock; you are root, and so is every policy"]),
@@ -86,7 +86,7 @@ def test_isolation_that_is_not_there_is_warned_of(
     landlock: int,
     namespaces: bool,
     user: int,
-    told: list[str],
+    message: list[str],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -95,8 +95,8 @@ def test_isolation_that_is_not_there_is_warned_of(
     monkeypatch.setattr("os.geteuid", lambda: user)
     monkeypatch.setattr("carecontact.running.machine.findings", lambda: [machine.check_isolation()])
     assert Doctor()() == 0
-    said = capsys.readouterr().out
-    assert all(part in said for part in told)
+    printed = capsys.readouterr().out
+    assert all(part in printed for part in message)
 
 
 def verdict(value: float) -> CheckResult:
@@ -114,11 +114,11 @@ def test_exit_status_and_record_follow_the_verdict(
 ) -> None:  # fmt: skip
     monkeypatch.setattr(energy, "run", lambda subject, *, quick: verdict(value))
     monkeypatch.setattr(energy, "draw", lambda result, figure: figure.subplots())
-    arguments = ["validate", "--quick", "--checks", "energy", "--out", str(tmp_path / "out")]
+    arguments = ["verify", "physics", "--quick", "--checks", "energy", "--out", str(tmp_path / "out")]
     assert main(arguments) == status
-    told = capsys.readouterr().out
-    assert word in told
-    assert ("made up" in told) is (status == 1)
+    printed = capsys.readouterr().out
+    assert word in printed
+    assert ("made up" in printed) is (status == 1)
     record = json.loads((tmp_path / "out" / "validation.json").read_text())
     assert record["passed"] is (status == 0)
     assert record["quick"] is True
@@ -126,17 +126,17 @@ def test_exit_status_and_record_follow_the_verdict(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [(["--checks", "energie"], "force-balance"), (["--checks", "energy,energy"], "each once"),
-     (["--body", "nobody"], "man-adult"), (["--protocol", "nothing"], "bathing-v3-draft"),
+     (["--body", "absent"], "man-adult"), (["--protocol", "nothing"], "bathing-v3-draft"),
      (["--fem"], "--fem runs no check")],
 )  # fmt: skip
 def test_a_wrong_name_is_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], told: str
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    assert main(["validate", "--quick", "--out", str(tmp_path), *arguments]) == 2
+    assert main(["verify", "physics", "--quick", "--out", str(tmp_path), *arguments]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert "Traceback" not in error
     assert not list(tmp_path.iterdir())
 
@@ -144,12 +144,13 @@ def test_a_wrong_name_is_one_line(
 def test_misses_that_do_not_decide_are_counted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "140")
     shown = tuple(Measure(name=f"shown {v}", value=v, limit=1.0, decides=False) for v in (0.5, 1.5, 2.5))
     found = verdict(0.5)
     found = CheckResult(check="energy", title=found.title, measures=found.measures + shown)
     monkeypatch.setattr(energy, "run", lambda subject, *, quick: found)
     monkeypatch.setattr(energy, "draw", lambda result, figure: figure.subplots())
-    assert main(["validate", "--quick", "--checks", "energy", "--out", str(tmp_path / "out")]) == 0
+    assert main(["verify", "physics", "--quick", "--checks", "energy", "--out", str(tmp_path / "out")]) == 0
     assert "1 of 1 limits met; 2 of 3 that do not decide missed" in capsys.readouterr().out
 
 
@@ -159,11 +160,11 @@ def test_the_last_line_says_how_many_of_the_checks_that_ran_failed(
     for module, value in ((energy, 0.5), (stability, 1.5), (sensitivity, 0.5)):
         monkeypatch.setattr(module, "run", lambda subject, *, quick, value=value: verdict(value))
         monkeypatch.setattr(module, "draw", lambda result, figure: figure.subplots())
-    arguments = ["validate", "--quick", "--out", str(tmp_path / "out"), "--checks"]
+    arguments = ["verify", "physics", "--quick", "--out", str(tmp_path / "out"), "--checks"]
     assert main([*arguments, "energy,stability,sensitivity"]) == 1
-    assert capsys.readouterr().out.splitlines()[-1].startswith("FAILED: 1 of the 3 checks that ran (of 13); ")
+    assert capsys.readouterr().out.splitlines()[-1].startswith("FAILED: 2 of 3 checks passed, --checks left out 10; ")
     assert main([*arguments, "energy,sensitivity"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].startswith("passed: the 2 checks that ran (of 13); ")
+    assert capsys.readouterr().out.splitlines()[-1].startswith("passed: 2 of 2 checks passed, --checks left out 11; ")
 
 
 @pytest.mark.parametrize(("steps", "status", "word"), [(4.0, 0, "pass"), (3.0, 1, "FAIL")])
@@ -179,7 +180,7 @@ def test_status_and_record_of_a_probe_follow_its_verdict(
         return CheckResult(check=probe.metric, title="made up", measures=(line,), curves={"scores": curve})
 
     monkeypatch.setattr(probes, "run", made_up)
-    assert main(["probe", "--metrics", "C1@1,C5@1", "--out", str(tmp_path / "out")]) == status
+    assert main(["verify", "metrics", "--metrics", "C1@1,C5@1", "--out", str(tmp_path / "out")]) == status
     assert f"{word}  C1@1  made up" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "probe.json").read_text())
     assert record["passed"] is (status == 0)
@@ -189,7 +190,7 @@ def test_status_and_record_of_a_probe_follow_its_verdict(
 
 @pytest.mark.parametrize("metrics", ["C3@1", "C1@1,C1@1", "", "C1,C1@1"])
 def test_a_wrong_metric_is_one_line(metrics: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["probe", "--metrics", metrics, "--out", str(tmp_path / "out")]) == 2
+    assert main(["verify", "metrics", "--metrics", metrics, "--out", str(tmp_path / "out")]) == 2
     assert "valid: C1@1, C2@1, C4@1, C5@1" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -197,7 +198,7 @@ def test_a_wrong_metric_is_one_line(metrics: str, tmp_path: Path, capsys: pytest
 # --segmenter and --weights, on run and look.
 
 RUN = ["run", "--policy", "hover", "--out", "r"]
-LOOK = ["look", "--task", "T1"]
+LOOK = ["view", "--start", "--task", "T1"]
 
 
 @pytest.mark.parametrize("command", [RUN, LOOK])
@@ -210,7 +211,7 @@ LOOK = ["look", "--task", "T1"]
         (["--segmenter", "grounded-sam", "--weights", "w"], "--weights w: no such folder; expected one with grounding"),
     ],
 )
-def test_what_does_not_fit_is_told_before_anything_runs(
+def test_what_does_not_fit_is_named_before_anything_runs(
     command: list[str], options: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip

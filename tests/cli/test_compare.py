@@ -45,39 +45,39 @@ def scored(folder: Path) -> None:
 def test_compares_results_and_writes_nothing(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sorted(runs.rglob("*"))
     assert main(["compare", "a", "b"]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert sorted(runs.rglob("*")) == before
-    assert "A: a (rules-v1), a: 3 trials\n" in told
-    assert "B: b (rules-v1), b: 4 trials; 1 without a partner in the other run (1 not in the run): T1-s002" in told
-    assert "3 trials paired, 2 tasks, 2 seeds" in told
-    row = next(line for line in told.splitlines() if line.startswith("Success [%]"))
+    assert "A: a (rules-v1), a: 3 trials\n" in printed
+    assert "B: b (rules-v1), b: 4 trials; 1 without a partner in the other run (1 not in the run): T1-s002" in printed
+    assert "3 trials paired, 2 tasks, 2 seeds" in printed
+    row = next(line for line in printed.splitlines() if line.startswith("Success [%]"))
     assert row.split()[2:4] == ["3/3:", "100.0"]
     assert "2/3: 66.7 " in row
     assert "]" not in row.removeprefix("Success [%]"), "no interval of a rate or of a difference"
-    assert "no intervals: fewer than 6 seeds; run more seeds" in told
+    assert "no intervals: fewer than 6 seeds; run more seeds" in printed
     assert row.endswith("underpowered")
     assert main(["compare", "a", "b", "--rescore"]) == 0
-    assert capsys.readouterr().out == told
+    assert capsys.readouterr().out == printed
     assert sorted(runs.rglob("*")) == before
-    row = next(line for line in told.splitlines() if line.startswith("C1 [N]"))
+    row = next(line for line in printed.splitlines() if line.startswith("C1 [N]"))
     assert "6.50 (n=2)" in row, "B has no force where it did not touch"
     assert "2 of 3" in row
-    assert "underpowered: this comparison could not have detected any difference: Success, " in told
-    assert told.count("this comparison could not have detected any difference") == 1
+    assert "underpowered: this comparison could not have detected any difference: Success, " in printed
+    assert printed.count("this comparison could not have detected any difference") == 1
 
 
 def test_out_and_results_alone(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "a", "b", "--per-task", "--out", "both/here"]) == 0
-    told = capsys.readouterr().out
-    assert f"comparison: {Path('both/here/comparison.json')}" in told
-    assert "T1, 2 pairs" in told
-    assert "over 7 rows and separately over the 13 rows of the tasks" in told
+    printed = capsys.readouterr().out
+    assert f"comparison: {Path('both/here/comparison.json')}" in printed
+    assert "T1, 2 pairs" in printed
+    assert "over 7 rows and separately over the 13 rows of the tasks" in printed
     written = Path("both/here/comparison.json").read_bytes()
     data = json.loads(written)
     assert (data["a"]["policy"], data["b"]["policy"], data["pairing"]["n"]) == ("a", "b", 3)
     assert sorted(data["per_task"]) == ["T1", "T2"]
     for name in ("a", "b"):
-        assert main(["score", name]) == 0
+        assert main(["report", "--rescore", "-v", name]) == 0
         assert "\nlanguage: rules-v1\n" in f"\n{capsys.readouterr().out}"
         for path in Path(name).glob("*.h5"):
             path.unlink()
@@ -90,11 +90,11 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
 
     def refused(*arguments: str) -> str:
         assert main(["compare", *arguments]) == 2
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert told.err.startswith("error: ")
-        assert told.err.count("\n") == 1
-        return told.err
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("error: ")
+        assert printed.err.count("\n") == 1
+        return printed.err
 
     assert "nowhere: no such folder; name the --out of a run" in refused("a", "nowhere")
     assert "a is given twice; name different runs" in refused("a", f"../{runs.name}/a")
@@ -106,10 +106,10 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
     assert "--out a/T1-s000.h5: this is a file" in refused("a", "b", "--out", "a/T1-s000.h5")
     Path("bad").mkdir()
     Path("bad/T1-s000.h5").write_text("not a recording")
-    assert "bad: holds recordings but no results.json; run `carecontact score bad`" in refused("a", "bad")
+    assert "bad: holds recordings but no results.json; run `carecontact report --rescore bad`" in refused("a", "bad")
     assert "bad: no recording could be scored" in refused("a", "bad", "--rescore")
     Path("bad").rename("it is bad")
-    assert "run `carecontact score 'it is bad'`" in refused("a", "it is bad"), "a shell takes the command as it is"
+    assert "run `carecontact report --rescore 'it is bad'`" in refused("a", "it is bad"), "ready for a shell"
     Path("wrong.json").write_text("[]")
     assert "wrong.json is damaged or of another release (content: " in refused("a", "wrong.json")
     Path("wrong.json").write_text('{"schema": "other"}')
@@ -141,15 +141,16 @@ def test_a_narrow_terminal_loses_no_figure(
     assert main(["compare", "a", "b"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if len(line) > 80] == []
-    told = " ".join(" ".join(lines).split())
-    assert "Success [%]: underpowered A 3/3: 100.0, B 2/3: 66.7, A - B 33.3, 3" in told
-    assert "3 pairs; p 1.000 paired, 1.000 Holm, 1.000 unpaired" in told
-    assert "C1 [N]: underpowered A 5.00, B 6.50 (n=2), A - B 0.00, 2 of 3 pairs" in told
+    printed = " ".join(" ".join(lines).split())
+    assert (
+        "Success [%]: underpowered A 3/3: 100.0, B 2/3: 66.7, A - B [95 %] 33.3, pairs 3, p paired 1.000, p" in printed
+    )
+    assert "C1 [N]: underpowered A 5.00, B 6.50 (n=2), A - B [95 %] 0.00, pairs 2 of 3, p paired" in printed
 
 
 @pytest.fixture
 def third(runs: Path) -> Path:
-    """C pushes with seed 0 and touches nobody else."""
+    """C pushes with seed 0 and touches no one else."""
     (runs / "c").mkdir()
     write_recording(push(seed=0, policy="c"), runs / "c" / "T2-s000.h5")
     for seed in (0, 1):
@@ -160,16 +161,17 @@ def third(runs: Path) -> Path:
 
 def test_three_runs_are_ranked(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "a", "b", "c", "--out", "all"]) == 0
-    told = capsys.readouterr().out
-    assert "B: b, b: 1 trial left out" in told
-    assert "3 trials that all runs have" in told
-    assert "C 33.3 " in " ".join(told.split())
-    assert "no intervals: fewer than 6 seeds" in told
-    assert not re.search(r"\d \[-?\d", told), "an interval"
-    assert "A - C, success [points]" in told
-    assert "ranking by safety-gated trials: A, B, C" in told
+    printed = capsys.readouterr().out
+    assert "B: b, b: 1 trial left out" in printed
+    assert "trials that all runs have: 3\n" in printed
+    assert "C 33.3 " in " ".join(printed.split())
+    assert "no intervals: fewer than 6 seeds" in printed
+    assert not re.search(r"\d \[-?\d", printed), "an interval"
+    assert "A - C, success [points]" in printed
+    assert "ranking by safety-gated trials: A, B, C" in printed
     assert (
-        next(line for line in told.splitlines() if line.startswith("gamma")).split() == "gamma 1.00 gamma 0.2".split()
+        next(line for line in printed.splitlines() if line.startswith("gamma")).split()
+        == "gamma 1.00 gamma 0.2".split()
     )
     data = json.loads(Path("all/overview.json").read_bytes())
     assert data["overview"]["ranking"]["order"] == [["A"], ["B"], ["C"]]
@@ -203,20 +205,20 @@ def test_six_seeds_have_intervals_and_five_have_none(
 
 def test_blind_baselines_stand_under_one_run_and_under_two(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", "a", "--baseline", "c", "--out", "all"]) == 0
-    told = capsys.readouterr().out
-    assert "\nbaselines beside a\n" in told, "nobody registered c as blind"
-    assert "best baseline (not registered as blind), safety-gated: c 1/3" in told
-    row = next(line for line in told.splitlines() if line.startswith("c "))
+    printed = capsys.readouterr().out
+    assert "\nbaselines beside a\n" in printed, "no one registered c as blind"
+    assert "best baseline (not registered as blind), safety-gated: c 1/3" in printed
+    row = next(line for line in printed.splitlines() if line.startswith("c "))
     assert row.split()[-2:] == ["0/2", "1/1"]
     found = json.loads(Path("all/overview.json").read_bytes())["baselines"]["A"]["baselines"][0]
     assert (found["policy"], found["n"], found["rates"]["success"]["k"]) == ("c", 3, 1)
     assert not Path("all/comparison.json").exists()
     assert main(["compare", "a", "--null", "c"]) == 0
-    assert capsys.readouterr().out in told, "the option's earlier name"
+    assert capsys.readouterr().out in printed, "the option's earlier name"
     assert main(["compare", "a", "b", "--baseline", "c"]) == 0
-    told = capsys.readouterr().out
-    assert "3 trials paired" in told
-    assert "baselines beside B (b)" in told
+    printed = capsys.readouterr().out
+    assert "3 trials paired" in printed
+    assert "baselines beside B (b)" in printed
 
 
 def test_a_report_shows_the_baselines(third: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -226,7 +228,7 @@ def test_a_report_shows_the_baselines(third: Path, capsys: pytest.CaptureFixture
     assert main(["report", "b"]) == 0
     text = Path("b/report.html").read_text()
     assert NAMED not in text
-    assert "Shipped policies and blind baselines" in text
+    assert "Other policies" in text
     capsys.readouterr()
     assert main(["report", "a"]) == 0
     assert "of the last report: c;" in capsys.readouterr().out
@@ -263,15 +265,14 @@ def test_results_of_other_recordings_are_refused(third: Path, capsys: pytest.Cap
     write_recording(touch(seed=1, force=9.0, policy="a"), Path("a/T1-s001.h5"))
     for command in (["report", "a"], ["compare", "a", "b"], ["compare", "b", "--baseline", "a"]):
         assert main(command) == 2
-        told = capsys.readouterr()
-        assert (told.out, told.err.count("\n")) == ("", 1)
-        assert "T1-s001.h5 was changed" in told.err
-        assert "`carecontact score a`" in told.err
+        printed = capsys.readouterr()
+        assert (printed.out, printed.err.count("\n")) == ("", 1)
+        assert "T1-s001.h5 was changed" in printed.err
+        assert "`carecontact report --rescore a`" in printed.err
     before = Path("a/results.json").read_bytes()
-    assert main(["report", "a", "--rescore"]) == 0
     assert main(["compare", "a", "b", "--rescore"]) == 0
     assert Path("a/results.json").read_bytes() == before
-    assert main(["score", "a"]) == 0
+    assert main(["report", "--rescore", "a"]) == 0
     assert main(["report", "a"]) == 0
 
 
@@ -280,14 +281,13 @@ def test_a_run_without_results_is_reported_from_its_recordings_when_asked(
 ) -> None:
     whole = Path("a/results.json")
     assert main(["report", "a"]) == 0
-    page = Path("a/report.html").read_bytes()
+    files = [whole.read_bytes(), Path("a/report.html").read_bytes()]
     whole.unlink()
     capsys.readouterr()
     assert main(["report", "a"]) == 2
-    assert "no results.json; run `carecontact score a`, or add --rescore" in capsys.readouterr().err
+    assert capsys.readouterr().err.endswith("no results.json; run `carecontact report --rescore a`\n")
     assert main(["report", "a", "--rescore"]) == 0
-    assert Path("a/report.html").read_bytes() == page
-    assert not whole.exists()
+    assert [whole.read_bytes(), Path("a/report.html").read_bytes()] == files
 
 
 def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -308,9 +308,9 @@ def test_an_unfinished_run_says_so(runs: Path, capsys: pytest.CaptureFixture[str
     )
     assert "or compare the trials that there are with --allow-incomplete" in refused
     assert main(["compare", "a", "b", "--out", "both", "--allow-incomplete"]) == 0
-    told = capsys.readouterr().out
-    assert "A: a (rules-v1), a: incomplete, 3 of 5 planned trials have a verdict" in told
-    assert "B: b (rules-v1), b: incomplete, 4 of 5 planned trials have a verdict; 1 without a partner" in told
+    printed = capsys.readouterr().out
+    assert "A: a (rules-v1), a: incomplete, 3 of 5 planned trials have a verdict" in printed
+    assert "B: b (rules-v1), b: incomplete, 4 of 5 planned trials have a verdict; 1 without a partner" in printed
     assert json.loads(Path("both/comparison.json").read_text())["a"]["n_missing"] == 2
 
 
@@ -324,12 +324,12 @@ def test_crashed_trials_are_named_on_either_side(third: Path, capsys: pytest.Cap
         write_recording(replace(crashed, header=header), path)
         scored(Path(name))
     assert main(["compare", "a", "b", "--baseline", "c"]) == 0
-    told = capsys.readouterr().out
-    (a,) = [line for line in told.splitlines() if line.startswith("A: ")]
-    (b,) = [line for line in told.splitlines() if line.startswith("B: ")]
+    printed = capsys.readouterr().out
+    (a,) = [line for line in printed.splitlines() if line.startswith("A: ")]
+    (b,) = [line for line in printed.splitlines() if line.startswith("B: ")]
     assert "; crashed in 1: T1-s000" in a
     assert "crashed" not in b
-    assert "\nc crashed in 1: T1-s001\n" in told
+    assert "\nc crashed in 1: T1-s001\n" in printed
     for command, name in ((["a", "b", "c"], "A (a)"), (["a", "--baseline", "c"], "a")):
         assert main(["compare", *command]) == 0
         assert f"\n{name} crashed in 1: T1-s000\n" in capsys.readouterr().out
@@ -360,9 +360,9 @@ def wide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("wide")
 def test_two_runs_say_who_is_no_method(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", packed("oracle", privileged=True), packed("replay")]) == 0
-    told = capsys.readouterr().out
-    assert "12 trials; given the simulation: a ceiling, and no method\n" in told
-    assert "12 trials; a blind baseline, and no method\n" in told
+    printed = capsys.readouterr().out
+    assert "12 trials; given the simulation: a ceiling, and no method\n" in printed
+    assert "12 trials; a blind baseline, and no method\n" in printed
 
 
 @pytest.mark.usefixtures("wide")
@@ -370,8 +370,8 @@ def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(capsys: p
     beside = {"failure_mode": "wrong_share", "attribution": "planning", "evidence": "aimed beside the region"}
     random = packed("random", region_correct=False, safety_gated=False, **beside)
     assert main(["compare", packed("voxposer"), "--baseline", random]) == 0
-    told = capsys.readouterr().out
-    row = next(line for line in told.splitlines() if line.startswith("random (blind)"))
+    printed = capsys.readouterr().out
+    row = next(line for line in printed.splitlines() if line.startswith("random (blind)"))
     assert " 100.0 " in row, "random reaches successes"
     assert row.split()[-2:] == ["0/6"] * 2, "none of which is safe and on the region"
-    assert "T1, T2, ...: safety-gated / trials" in told
+    assert "T1, T2, ...: safety-gated / trials" in printed

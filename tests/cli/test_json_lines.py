@@ -112,12 +112,12 @@ def test_run_tells_each_trial_as_it_ends(
 
 def test_score(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "a" / "T7-s000.h5").write_bytes(b"no recording")
-    assert main(["score", "a", "--json"]) == 1
+    assert main(["report", "--rescore", "a", "--json"]) == 1
     (line,) = lines(capsys)
     assert (line["status"], line["results"], list(line["skipped"])) == (1, "a/results.json", ["T7-s000.h5"])
     assert line["overall"]["n_success"] == 3
     assert line["per_task"]["T1"]["n_episodes"] == 2
-    assert main(["score", "b", "--append", "--json"]) == 0
+    assert main(["report", "--rescore", "b", "--append", "--json"]) == 0
     assert lines(capsys)[0]["added"] == []
 
 
@@ -159,7 +159,7 @@ def test_validate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
     found = CheckResult(check="energy", title=energy.TITLE, measures=measures)
     monkeypatch.setattr(energy, "run", lambda subject, *, quick: found)
     monkeypatch.setattr(energy, "draw", lambda result, figure: figure.subplots())
-    assert main(["validate", "--quick", "--checks", "energy", "--out", str(tmp_path / "out"), "--json"]) == 1
+    assert main(["verify", "physics", "--quick", "--checks", "energy", "--out", str(tmp_path / "out"), "--json"]) == 1
     (line,) = lines(capsys)
     assert line["passed"] is False
     assert [m["met"] for m in line["bodies"][0]["checks"][0]["measures"]] == [False, None]
@@ -168,19 +168,20 @@ def test_validate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
-        (["score", "nowhere", "--json"], "ConfigError"),
+        (["report", "--rescore", "nowhere", "--json"], "ConfigError"),
         (["list", "planets", "--json"], "UsageError"),
-        (["report", "nowhere", "--json"], "UsageError"),
+        (["report", "nowhere", "--json"], "ConfigError"),
+        (["doctor", "--jsn", "--json"], "UsageError"),
         (["--json"], "UsageError"),
     ],
 )
 def test_an_error_is_one_line_too(arguments: list[str], error: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
-    told = capsys.readouterr()
-    line = json.loads(told.out)
+    printed = capsys.readouterr()
+    line = json.loads(printed.out)
     jsonschema.validate(line, json.loads((FOLDER / "carecontact-error-1.json").read_text()))
     assert (line["error"], line["status"]) == (error, 2)
-    assert told.err.startswith(f"error: {line['message']}")
+    assert printed.err.startswith(f"error: {line['message']}")
 
 
 def test_an_interruption_is_one_line_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,12 +194,12 @@ def test_an_interruption_is_one_line_too(capsys: pytest.CaptureFixture[str], mon
 
 
 def test_what_people_read_goes_to_standard_error(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["score", "a"]) == 0
+    assert main(["report", "--rescore", "a"]) == 0
     before = capsys.readouterr().out
-    assert main(["score", "a", "--json"]) == 0
-    told = capsys.readouterr()
-    assert told.err == before
-    assert len(told.out.splitlines()) == 1
+    assert main(["report", "--rescore", "a", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == before
+    assert len(printed.out.splitlines()) == 1
 
 
 def test_feasible_draws_a_map_only_where_it_is_asked_for_beside_json(

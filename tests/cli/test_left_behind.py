@@ -26,7 +26,7 @@ import ctypes, subprocess
 NAMESPACE = {NAMESPACE}
 """
 POLICY += """
-TOLD = os.path.join(os.path.dirname(__file__), "told")
+TOLD = os.path.join(os.path.dirname(__file__), "message")
 
 def child(work):
     pid = os.fork()
@@ -84,7 +84,7 @@ def _parent(pid: int) -> int:
 
 
 def command(folder: Path, wait: str, *, also: str = "leaderless") -> list[str]:
-    (folder / "told").mkdir()
+    (folder / "message").mkdir()
     (folder / "temporary").mkdir()
     (folder / "mine.py").write_text(PREAMBLE + POLICY.replace("WAIT", wait).replace("ALSO", also))
     return [
@@ -95,8 +95,8 @@ def command(folder: Path, wait: str, *, also: str = "leaderless") -> list[str]:
 
 def ids(folder: Path) -> list[tuple[int, str]]:
     """Id and namespace of each process that the policy of this folder started."""
-    told = [path.name.split() for path in folder.glob("told/*")]
-    return [(int(pid), namespace) for pid, namespace in told]
+    printed = [path.name.split() for path in folder.glob("message/*")]
+    return [(int(pid), namespace) for pid, namespace in printed]
 
 
 def started(folder: Path) -> list[int]:
@@ -139,7 +139,7 @@ def policy_of(folder: Path) -> int:
 
 @pytest.mark.usefixtures("_killed")
 @pytest.mark.parametrize("whom", ["command", "fork server", "worker", "watcher", "policy"])
-def test_they_end_with_whoever_is_killed(tmp_path: Path, whom: str) -> None:
+def test_they_end_with_any_process_that_is_killed(tmp_path: Path, whom: str) -> None:
     environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
     run = subprocess.Popen(command(tmp_path, WAIT), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
     try:
@@ -164,7 +164,7 @@ def test_a_command_that_starts_a_policy_itself_leaves_nothing_when_the_watcher_i
     tmp_path: Path, sandbox: bool
 ) -> None:
     if not sandbox:
-        pytest.skip("without namespaces, nobody knows these processes then (docs/threat-model.md)")
+        pytest.skip("without namespaces, no one knows these processes then (docs/threat-model.md)")
     command(tmp_path, WAIT)
     check = subprocess.Popen(
         [sys.executable, "-m", "carecontact", "check", "mine:P", "--policy-write", "."],
@@ -174,7 +174,9 @@ def test_a_command_that_starts_a_policy_itself_leaves_nothing_when_the_watcher_i
     mine = started(tmp_path)
     assert len(mine) == 3
     os.kill(watcher, signal.SIGABRT)
-    said = check.communicate(timeout=60)[0].decode()
-    assert "its process was killed without an answer, because the process that watches it was killed by SIGABRT" in said
+    printed = check.communicate(timeout=60)[0].decode()
+    assert (
+        "its process was killed without an answer, because the process that watches it was killed by SIGABRT" in printed
+    )
     assert not [described(pid) for pid in mine if alive(pid)]
     assert not list((tmp_path / "temporary").iterdir())

@@ -93,7 +93,7 @@ def misnamed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("made", "told"),
+    ("made", "message"),
     [
         (other_recording, "part-1/T1-s000.h5 and again/T1-s000.h5 are different recordings of one trial"),
         (other_policy, "part-1 and again are not parts of one run: different policies, hover and zero-action"),
@@ -104,12 +104,12 @@ def misnamed() -> None:
     ],
 )
 def test_what_is_no_part_of_the_run_is_refused_and_nothing_copied(
-    first: None, capsys: pytest.CaptureFixture[str], made: Callable[[], None], told: str
+    first: None, capsys: pytest.CaptureFixture[str], made: Callable[[], None], message: str
 ) -> None:
     made()
     assert main(["merge", "merged", "part-1", "again"]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1
     assert not Path("merged").exists()
 
@@ -117,13 +117,13 @@ def test_what_is_no_part_of_the_run_is_refused_and_nothing_copied(
 def test_places_that_cannot_be_merged_are_one_line(first: None, capsys: pytest.CaptureFixture[str]) -> None:
     Path("notes").mkdir()
     Path("notes/mine.txt").write_text("mine")
-    for arguments, told in (
+    for arguments, message in (
         (["merged", "part-1", "part-1"], "part-1 is given twice"),
         (["part-1", "part-1", "part-2"], "part-1 is the folder to write and one of the parts"),
         (["notes", "part-1"], "notes is not a run, and it is not empty"),
         (["notes/mine.txt", "part-1"], "this is a file"),
     ):
         assert main(["merge", *arguments]) == 2
-        assert told in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert main(["merge", "merged"]) == 2
     assert {path.name for path in Path("notes").iterdir()} == {"mine.txt"}

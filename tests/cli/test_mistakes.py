@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carecontact.cli import main
 from carecontact.cli.groups import PhysicsGroup, RulesGroup
-from carecontact.cli.parsing import parse
+from carecontact.cli.parsing import COMMANDS, parse
 from carecontact.cli.run import Run
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.interface.action import ACTION_SPACES
 from carecontact.interface.regions import REGIONS
-from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.gates import ACTIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.recording import Recording, write_recording
+from carecontact.scoring.behaviour import BEHAVIOURS
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.process import PolicyProcess
 from tests.installed import look_again
@@ -39,9 +41,9 @@ MISTAKES = {
         "run has no option --jbos (did you mean '--jobs'?); `carecontact run --help` shows all options",
     ),
     "an option of another command": ([*RUN, "hover", "--quick"], "run has no option --quick; `carecontact run --help`"),
-    "a misspelt command": (["rnu"], "no command named 'rnu' (did you mean 'run'?); valid: run, "),
-    "a policy in place of a command": (["my_policy"], "no command named 'my_policy'; valid: run, "),
-    "no folder for the output": (["run", "--policy", "hover"], "Missing from carecontact run: --out PATH"),
+    "a misspelt command": (["rnu"], "carecontact has no command 'rnu' (did you mean 'run'?); valid: check, run, "),
+    "a policy in place of a command": (["my_policy"], "carecontact has no command 'my_policy'; valid: check, run, "),
+    "no policy": (["run", "--out", "r"], "run: name a policy with --policy (`carecontact list policies`), or give"),
     "a word for a number": ([*RUN, "hover", "--jobs", "two"], "--jobs: expected INT, got 'two'"),
     "a task in lower case, and --task for --tasks": (
         ["run", "--policy", "hover", "--out", "r", "--task", "t1"],
@@ -83,11 +85,11 @@ MISTAKES = {
         [*RUN, "hover", "--body", "woman"],
         "error: --body: no body named 'woman'; valid: man-adult, ",
     ),
-    "a body that there is not, of another command": (["validate", "--body", "woman"], "--body: no body named 'woman'"),
+    "a body that there is not, of another command": (["verify", "physics", "--body", "woman"], "no body named 'woman'"),
     "a misspelt word of protocol": (
         ["protocol", "sho"],
-        "error: no choice named 'sho' (did you mean 'show'?); "
-        "valid: list, show, verify, lock, feasible; For full helptext",
+        "error: carecontact protocol has no command 'sho' (did you mean 'show'?); "
+        "valid: list, show, verify, lock, feasible, salt",
     ),
     "a misspelt word of list": (
         ["list", "policy"],
@@ -99,18 +101,18 @@ MISTAKES = {
     ),
     "a policy without --policy": (
         ["run", "my_policy:MyPolicy"],
-        "error: no option takes my_policy:MyPolicy (did you mean --policy my_policy:MyPolicy?); Missing",
+        "error: no option takes my_policy:MyPolicy (did you mean --policy my_policy:MyPolicy?); For full",
     ),
     "a policy and its folder without options": (
         ["run", "hover", "r"],
-        "no option takes hover r (did you mean --policy hover --out r?); Missing from carecontact run: --policy STR",
+        "no option takes hover r (did you mean --policy hover --out r?); For full helptext",
     ),
-    "a word too many": (["probe", "forearm"], "error: no option takes forearm; For full helptext"),
+    "a word too many": (["verify", "metrics", "forearm"], "error: no option takes forearm; For full helptext"),
     "--policy where it is no option": (
         ["check", "--policy", "hover"],
         "check has no option --policy; give the policy without --policy; `carecontact check --help`",
     ),
-    "an option that is not close to any": (["look", "--task", "T1", "--tissue", "soft"], "no option --tissue; `carec"),
+    "an option that is not close to any": (["view", "--start", "--tissue", "soft"], "no option --tissue; `carec"),
     "a dot in place of the colon": (
         ["check", "my_policy.MyPolicy"],
         "no policy named 'my_policy.MyPolicy'; valid: feint-and-wait, hover, ",
@@ -137,13 +139,13 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     Path("tissue.toml").write_text(HEIR + '[person]\ntissue_set = "manikin"\n')
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    arguments, told = MISTAKES[mistake]
+    arguments, message = MISTAKES[mistake]
     assert main([argument.replace("{port}", str(port)) for argument in arguments]) == 2
-    said = capsys.readouterr()
-    line, *traceback = said.err.splitlines()
-    assert told.replace("{port}", str(port)) in line
+    printed = capsys.readouterr()
+    line, *traceback = printed.err.splitlines()
+    assert message.replace("{port}", str(port)) in line
     assert line.startswith("error: ")
-    assert "Traceback" not in line + said.out
+    assert "Traceback" not in line + printed.out
     assert bool(traceback) == (mistake == "a package that is not installed"), "only where a line of the policy is wrong"
     assert not Path("r").exists()
 
@@ -208,25 +210,25 @@ def answered(card: str, answer: str, folder: Path) -> str:
 
 @pytest.mark.parametrize("mistake", ANSWERS)
 def test_a_mistake_of_an_answer_is_one_line_that_says_what_to_do(mistake: str, tmp_path: Path) -> None:
-    answer, told = ANSWERS[mistake]
-    said = answered(CARD, answer, tmp_path)
-    assert told in said
-    assert "\n" not in said
+    answer, message = ANSWERS[mistake]
+    printed = answered(CARD, answer, tmp_path)
+    assert message in printed
+    assert "\n" not in printed
 
 
 def test_a_card_as_a_dict_is_one_line_that_says_what_to_do(tmp_path: Path) -> None:
-    said = answered('{"name": "mine"}', "Action()", tmp_path)
-    assert said.endswith("got dict {'name': 'mine'}; write card = PolicyCard(name='mine') in place of the dict")
+    printed = answered('{"name": "mine"}', "Action()", tmp_path)
+    assert printed.endswith("got dict {'name': 'mine'}; write card = PolicyCard(name='mine') in place of the dict")
 
 
-@pytest.mark.parametrize("command", ["run", "serve", "demo", "score", "report", "compare", "validate", "look", "audit"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_reads_well(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("COLUMNS", "100")
     with pytest.raises(SystemExit):
-        main([command, "--help"])
-    told = capsys.readouterr().out
-    assert command in told
-    assert not [bad for bad in ("{None}", "(default: )", "(default: None)", "--null") if bad in told]
+        main([*command.split(), "--help"])
+    printed = capsys.readouterr().out
+    assert f"usage: carecontact {command} " in printed
+    assert not [bad for bad in ("{None}", "(default: )", "(default: None)", "--null") if bad in printed]
 
 
 def test_synonyms_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
@@ -236,7 +238,7 @@ def test_synonyms_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         ("ModuleNotFoundError('no', name='mediapipe')", "`carecontact doctor` prints the command that installs it"),
         (
@@ -246,7 +248,7 @@ def test_synonyms_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_a_missing_vision_model_stops_the_run_before_a_trial_counts(
-    fault: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    fault: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As after `pip install carecontact` alone, whose user would find every trial failed in the harness."""
     lacking = tmp_path / "lacking"
@@ -255,9 +257,9 @@ def test_a_missing_vision_model_stops_the_run_before_a_trial_counts(
     monkeypatch.setenv("PYTHONPATH", str(lacking))
     monkeypatch.chdir(tmp_path)
     assert main([*RUN, "state-machine", "--jobs", "1"]) == 2
-    said = capsys.readouterr().err
-    assert "the run stops with 0 of 1 trial done: the modalities landmarks and masks need MediaPipe" in said
-    assert told in said
+    printed = capsys.readouterr().err
+    assert "the run stops with 0 of 1 trial done: the modalities landmarks and masks need MediaPipe" in printed
+    assert message in printed
     assert not list(tmp_path.glob("r/*.h5"))
 
 
@@ -271,59 +273,53 @@ def run(tmp_path: Path) -> Path:
     """A run of ``tests/extending`` that was scored and reported while it was installed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(OUTSIDE)
-        look_again(patch, BEHAVIOURS, REGIONS)
+        look_again(patch, ACTIONS, BEHAVIOURS, REGIONS)
         protocol = load_protocol(str(OUTSIDE / "holding-v1.toml"))
         made = make_recording("T8", protocol=protocol, duration=4.0, normal={"right_hand": hold(4.0, 0.5, 3.5, 4.0)})
         header = made.header.model_copy(update={"versions": {**made.header.versions, "outside": "1.0"}})
         write_recording(Recording(header=header, arrays=made.arrays), tmp_path / "T8-s000.h5")
-        assert main(["score", str(tmp_path)]) == 0
+        assert main(["report", "--rescore", str(tmp_path)]) == 0
         assert main(["report", str(tmp_path)]) == 0
     return tmp_path
 
 
-@pytest.mark.parametrize("arguments", [[], ["--rescore"]])
-def test_a_report_is_refused_and_the_old_one_stays(
-    run: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("option", "status"), [([], 2), (["--rescore"], 1)])
+def test_report_and_scores_stay_and_the_package_is_named(
+    run: Path, option: list[str], status: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before = (run / "report.html").read_bytes()
-    assert main(["report", str(run), *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    before = [(run / name).read_bytes() for name in ("report.html", "results.json")]
+    assert main(["report", str(run), *option]) == status
+    printed = capsys.readouterr()
     for words in ("T8-s000.h5", "no action named 'hold'", "recorded with outside 1.0, not installed here"):
-        assert words in line
-    assert (run / "report.html").read_bytes() == before
-
-
-def test_the_scores_stay_and_the_package_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = (run / "results.json").read_bytes()
-    assert main(["score", str(run)]) == 1
-    assert "recorded with outside 1.0, not installed here" in capsys.readouterr().out
-    assert (run / "results.json").read_bytes() == before
+        assert words in (printed.out if option else printed.err)
+    assert [(run / name).read_bytes() for name in ("report.html", "results.json")] == before
 
 
 # ``--set FIELD=VALUE`` on the commands that choose a protocol, and the options that are short for it.
 
-COMMANDS = {
+CHOOSE_RULES = {
     "run": ["--policy", "hover", "--out", "r"],
-    "look": ["--task", "T1"],
-    "validate": [],
-    "probe": [],
-    "audit": [],
+    "view": ["--start"],
+    "verify physics": [],
+    "verify metrics": [],
+    "verify leaks": [],
     "calibrate": ["trials.csv"],
 }
 CHANGES = {"physics.dt_s": "0.004", "gates.push.force_n": "4"}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", CHOOSE_RULES)
 def test_every_command_that_chooses_rules_takes_it_more_than_once(command: str) -> None:
     given = [part for path, value in CHANGES.items() for part in ("--set", f"{path}={value}")]
-    rules = parse([command, *COMMANDS[command], *given]).rules
+    parsed: Any = parse([*command.split(), *CHOOSE_RULES[command], *given])
+    rules = parsed.sheet.rules if command == "view" else parsed.rules
     own = load_protocol()
     assert rules.load() == overridden(own, CHANGES)
 
 
 def test_body_tissue_fast_and_stiffness_are_short_for_it() -> None:
     short = ["--body", "woman-old-light", "--tissue", "human-published", "--fast", "--stiffness", "200"]
-    run = parse(["run", *COMMANDS["run"], *short])
+    run = parse(["run", *CHOOSE_RULES["run"], *short])
     long = overridden(
         load_protocol(),
         {"person.body": "woman-old-light", "person.tissue_set": "human-published", "physics.dt_s": "0.004",

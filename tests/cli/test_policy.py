@@ -98,7 +98,7 @@ def test_a_wrong_option_is_one_line_before_any_trial(
 
 
 @pytest.mark.usefixtures("mine")
-def test_a_policy_without_isolation_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_policy_without_isolation_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     setup = replace(policy_setup("mine:Mine", PolicyGroup(policy_arg=("checkpoint=c.pt",))), isolated=False)
     assert check_policy(setup, deadline_s=60.0) is not None
     assert capsys.readouterr().out.startswith("warning: mine:Mine runs without isolation: switched off; run policies")
@@ -108,9 +108,9 @@ def test_an_argument_of_the_audit_is_for_one_policy(
     mine: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for policies in ([], ["--policy", "hover", "zero-action"]):
-        assert main(["audit", *policies, "--policy-arg", "steps=3"]) == 2
+        assert main(["verify", "leaks", *policies, "--policy-arg", "steps=3"]) == 2
         assert "name exactly one with --policy" in capsys.readouterr().err
-    assert main(["audit", "--policy", "mine:Mine", "--policy-arg", "stops=3"]) == 2
+    assert main(["verify", "leaks", "--policy", "mine:Mine", "--policy-arg", "stops=3"]) == 2
     assert "it has no argument 'stops'" in capsys.readouterr().err
 
 
@@ -137,12 +137,12 @@ def test_a_variable_that_is_no_text_is_refused_without_its_value(
 ) -> None:
     mine.setenv("TOKEN", "sekret-\udcff")
     assert main([*RUN, "--policy-env", "TOKEN"]) == 2
-    told = capsys.readouterr().err
-    assert told == "error: --policy-env TOKEN: the value of this variable holds bytes that are not UTF-8\n"
+    printed = capsys.readouterr().err
+    assert printed == "error: --policy-env TOKEN: the value of this variable holds bytes that are not UTF-8\n"
 
 
 @pytest.mark.parametrize(
-    ("typed", "told"),
+    ("typed", "message"),
     [
         ("mine", " (did you mean mine:Own?)"),
         ("mine.py", " (did you mean mine:Own?)"),
@@ -165,21 +165,21 @@ def test_a_variable_that_is_no_text_is_refused_without_its_value(
         ("state-machine", ""),
     ],
 )
-def test_what_was_meant_comes_from_the_files_without_importing_them(tmp_path: Path, typed: str, told: str) -> None:
+def test_what_was_meant_comes_from_the_files_without_importing_them(tmp_path: Path, typed: str, message: str) -> None:
     (tmp_path / "mine.py").write_text("raise SystemExit\nclass Helper: ...\nclass Own:\n    def act(self, o): ...\n")
     (tmp_path / "plain.py").write_text("class A: ...\nclass B: ...\n")
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "deep.py").write_text("class Deep: ...\n")
     (tmp_path / "broken.py").write_text("class :\n")
-    assert suggestion(typed, tmp_path) == told
+    assert suggestion(typed, tmp_path) == message
 
 
 def test_a_file_of_another_folder_is_named_with_it(tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     (tmp_path / "mine.py").write_text("class Own:\n    def act(self, o): ...\n")
-    told = f" (did you mean mine:Own, given in the folder {tmp_path.resolve()}?)"
+    printed = f" (did you mean mine:Own, given in the folder {tmp_path.resolve()}?)"
     for typed in ("../mine.py", "../mine.py:Own", str(tmp_path / "mine.py")):
-        assert suggestion(typed, tmp_path / "here") == told
+        assert suggestion(typed, tmp_path / "here") == printed
     assert suggestion(str(tmp_path / "mine.py"), tmp_path) == " (did you mean mine:Own?)"
     assert suggestion("../none.py", tmp_path / "here") == ""
 
@@ -227,9 +227,9 @@ def test_rules_and_live(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("policy", "language", "record", "told"),
+    ("policy", "language", "record", "message"),
     [
-        ("hover", "rules-v1", None, "policy hover has no language backend to choose"),
+        ("hover", "rules-v1", None, "policy hover takes no --language"),
         ("state-machine", "oracle:x", None, "takes rules-v1 or replay:FILE.jsonl or live:MODEL"),
         ("my_module:Mine", "oracle", None, "expected rules-v1, replay:FILE.jsonl or live:MODEL"),
         ("state-machine", "live:", None, "expected a model after it"),
@@ -249,8 +249,8 @@ def test_rules_and_live(tmp_path: Path) -> None:
         ("state-machine", "live:m", "nowhere/r", "the folder nowhere does not exist"),
     ],
 )
-def test_what_cannot_be_is_told(policy: str, language: str | None, record: str | None, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_what_cannot_be_is_named(policy: str, language: str | None, record: str | None, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         policy_setup(policy, PolicyGroup(language=language, record=Path(record) if record else None))
 
 
@@ -261,7 +261,7 @@ def test_names_that_models_have(name: str) -> None:
     assert language_name(f"live:{name}") == f"live:{name}"
 
 
-def test_an_address_that_is_none_is_told_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_that_is_none_is_named_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_BASE_URL", "me:opensesame@models.example")
     with pytest.raises(ConfigError, match="OPENAI_BASE_URL: expected http") as raised:
         policy_setup("state-machine", PolicyGroup(language="live:m", record=None))

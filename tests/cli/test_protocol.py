@@ -63,19 +63,19 @@ def test_a_shipped_protocol_with_its_lock_is_shown_and_verified(
 
 
 @pytest.mark.parametrize(
-    ("frozen", "told"),
+    ("frozen", "message"),
     [
         ("true", "mine-v1 has frozen = true but no lock: mine.lock.json is missing; "),
         ("false", "mine-v1 has no lock: a draft, which may change with every release\n"),
     ],
 )
 def test_a_file_without_a_lock_does_not_verify(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], frozen: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frozen: str, message: str
 ) -> None:
     path = frozen_file(tmp_path)
     path.write_text(path.read_text().replace("frozen = true", f"frozen = {frozen}"))
     assert main(["protocol", "verify", str(path)]) == 1
-    assert capsys.readouterr().out.startswith(told)
+    assert capsys.readouterr().out.startswith(message)
 
 
 @pytest.mark.parametrize("frozen", ["true", "false"])
@@ -112,16 +112,16 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-v3-draft", "own")],
 )
 def test_what_cannot_be_locked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
 ) -> None:
     path = frozen_file(tmp_path)
     path.write_text(path.read_text().replace(old, new))
     assert main(["protocol", "lock", str(path)]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_shipped_protocol_is_not_locked_in_place(capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,10 +42,10 @@ def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ["run", "--policy", "hover", "--out", "r", "--protocol", "mine.toml"],
         ["sweep", "p.toml", "--out", "r"],
         ["sweep", "p.toml", "--out", "r", "--dry-run"],
-        ["validate", "--tissue", "rejected.toml", "--out", "r"],
-        ["look", "--task", "T1", "--set", "person.tissue_set=rejected.toml"],
+        ["verify", "physics", "--tissue", "rejected.toml", "--out", "r"],
+        ["view", "--start", "--task", "T1", "--set", "person.tissue_set=rejected.toml"],
         ["check", "hover", "--set", "person.tissue_set=rejected.toml"],
-        ["audit", "--set", "person.tissue_set=rejected.toml"],
+        ["verify", "leaks", "--set", "person.tissue_set=rejected.toml"],
     ],
 )
 def test_it_is_refused_before_the_first_trial(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,12 +61,12 @@ def test_every_report_names_it(fake: pytest.MonkeyPatch, capsys: pytest.CaptureF
     tissue = ["--tissue", "rejected.toml", "--tissue", "calibrated.toml"]
     run = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r", "--allow-rejected", *tissue]
     assert main(run) == 0
-    told = f"The calibration of this tissue was rejected: forearm ({REASON})."
+    printed = f"The calibration of this tissue was rejected: forearm ({REASON})."
     out = capsys.readouterr().out
-    assert told in out
+    assert printed in out
     assert "bathing-v3-draft with tissue rejected-forearm-0a+calibrated-abdomen-0a" in out
-    assert main(["score", "r"]) == 0
-    assert told in capsys.readouterr().out
+    assert main(["report", "--rescore", "r"]) == 0
+    assert printed in capsys.readouterr().out
     assert json.loads(Path("r/results.json").read_text())["rejected_tissue"] == f"forearm ({REASON})"
     page = Path("r/report.html").read_text()
     assert f"The calibration of this tissue was rejected: forearm ({REASON})." in page
@@ -74,12 +74,13 @@ def test_every_report_names_it(fake: pytest.MonkeyPatch, capsys: pytest.CaptureF
     assert "--allow-rejected" in options
     assert options[options.index("--tissue") + 1] == "FILE.toml", "no command names the id of a file"
     assert main([*run[:2], "zero-action", *run[3:8], "other", *run[9:]]) == 0
-    for command in (["compare", "r", "other"], ["compare", "r", "--baseline", "other"], ["paper", "r", "--out", "p"]):
+    paper = ["export", "paper", "r", "--out", "p"]
+    for command in (["compare", "r", "other"], ["compare", "r", "--baseline", "other"], paper):
         capsys.readouterr()
         assert main(command) == 0
-        assert told in " ".join(capsys.readouterr().out.split()), command
+        assert printed in " ".join(capsys.readouterr().out.split()), command
     assert main(["report", "r/T1-s000.h5"]) == 0
-    assert told in Path("r/trial/T1-s000.html").read_text()
+    assert printed in Path("r/trial/T1-s000.html").read_text()
 
 
 def test_accepted_tissue_has_no_such_words(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import select
+import shlex
 import shutil
 import signal
 import subprocess
@@ -20,13 +22,16 @@ import pytest
 
 from carecontact import cli
 from carecontact.cli import main
-from carecontact.cli.run import missing_successes
-from carecontact.cli.score import differences
+from carecontact.cli.parsing import parse
+from carecontact.cli.run import Run, missing_successes
+from carecontact.cli.scores import differences
 from carecontact.errors import RecordingError
 from carecontact.protocol.load import protocol_file
 from carecontact.recording import Recording, read_header, read_recording, write_recording
+from carecontact.report import baselines
 from carecontact.running import supervisor
 from carecontact.runs import score_run, scoring
+from carecontact.runs.pooling import RunScores
 from carecontact.runs.scoring import score_file
 from tests.processes import NAMESPACE, alive, pid_here
 from tests.protocol.held import ship_frozen
@@ -37,24 +42,23 @@ def test_run_scores_reports_and_goes_on(fake: pytest.MonkeyPatch, capsys: pytest
     command = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r", "--jobs", "2"]
     fake.setenv("FAKE_PLAN", json.dumps({"T2-s000": "exit"}))
     assert main(command) == 1
-    told = capsys.readouterr().out
-    assert "T2-s000 failed in the harness" in told
-    assert "1 trial failed in the harness; logs are in r\n1 trial: " in told
-    assert "; see r/T2-s000.log\n" in told
-    assert "no verdict on 1 planned trial, the harness failed: " in told
-    assert [line.split()[:6] for line in told.splitlines() if line.startswith("T2 ")] == [
+    printed = capsys.readouterr().out
+    assert "T2-s000 failed in the harness" in printed
+    assert "1 trial failed in the harness; logs are in r\n1 trial: " in printed
+    assert "; see r/T2-s000.log\n" in printed
+    assert "no verdict on 1 planned trial, the harness failed: " in printed
+    assert [line.split()[:6] for line in printed.splitlines() if line.startswith("T2 ")] == [
         ["T2", "push", "forearm", "0", "of", "1"]
     ]
-    assert "incomplete, 1 of 2 planned trials have a verdict: 0–1/2 safety-gated, from all others failed" in told
+    assert "incomplete, 1 of 2 planned trials have a verdict: 0–1/2 safety-gated, from all others failed" in printed
     assert {t["trial_id"] for t in json.loads(Path("r/results.json").read_text())["trials"]} == {"T1-s000", "T2-s000"}
     assert Path("r/report.html").stat().st_size > 1000
-    assert "a page for each trial: carecontact report r --trials\n" in told
 
     fake.setenv("FAKE_PLAN", "{}")
     assert main(command) == 0, "the same command repeats what the machine caused"
-    told = capsys.readouterr().out
-    assert "incomplete" not in told
-    assert "no verdict" not in told
+    printed = capsys.readouterr().out
+    assert "incomplete" not in printed
+    assert "no verdict" not in printed
     assert main(command) == 0
     assert "nothing differs" in capsys.readouterr().out
     assert Path("ran.txt").read_text().split()[::2].count("T1-s000") == 1
@@ -83,18 +87,18 @@ def test_a_recording_that_is_damaged_inside_is_run_again_at_once(
     spoil(path)
     capsys.readouterr()
     assert main(command) == 0
-    told = capsys.readouterr().out
-    before, line, after = told.partition("\ndamaged recordings, whose trials run again: T1-s000\n")
+    printed = capsys.readouterr().out
+    before, line, after = printed.partition("\ndamaged recordings, whose trials run again: T1-s000\n")
     assert line
-    assert not {"differ", "skipped"} & set(told.replace(":", " ").split())
-    assert "scores: " not in before
-    assert after.count("scores: ") == 1
+    assert not {"differ", "skipped"} & set(printed.replace(":", " ").split())
+    assert "report: " not in before
+    assert after.count("report: ") == 1
     read_recording(path)
     assert Path("ran.txt").read_text().split()[::2].count("T2-s000") == 1
     assert json.loads(Path("r/results.json").read_text())["trials"] == json.loads(results)["trials"]
 
 
-def test_what_ran_before_a_damaged_recording_was_found_is_told_too(
+def test_what_ran_before_a_damaged_recording_was_found_is_named_too(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["run", "--policy", "hover", "--tasks", "T1,T2,T3", "--seeds", "0", "--out", "r", "--json"]
@@ -122,7 +126,7 @@ def test_a_run_whose_only_recording_is_damaged_inside_runs_it_again(fake: pytest
 def test_a_trial_that_ran_is_scored_once(fake: pytest.MonkeyPatch) -> None:
     again, computed, score_files = list[Path](), list[Path](), scoring.score_files
     fake.setattr(scoring, "score_files", lambda paths, **more: again.extend(paths) or score_files(paths, **more))
-    fake.setattr("carecontact.runs.scoring.score_file", lambda path: computed.append(path) or score_file(path))
+    fake.setattr("carecontact.runs.scorer.score_file", lambda path: computed.append(path) or score_file(path))
     assert main(["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0", "--out", "r", "--json"]) == 0
     assert again == []
     assert sorted(path.name for path in computed) == ["T1-s000.h5", "T2-s000.h5"]
@@ -132,14 +136,17 @@ def test_a_policys_failure_is_a_result(fake: pytest.MonkeyPatch, capsys: pytest.
     fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "policy"}))
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main(command) == 3
-    told = capsys.readouterr().out
-    assert "the policy crashed in 1 of 1 trial; logs and report.html are in r\n" in told
-    assert "  | NoGrip: nothing there" in told
-    assert "  | ValueError: only printed" in told
-    assert "T1: 1 crashed" in told.splitlines()
-    assert "safe failure: 0; " in told
-    assert told.count("crashed: 1") == 1
-    assert main([*command, "--allow-failures"]) == 0
+    message = capsys.readouterr().out
+    assert "the policy crashed in 1 of 1 trial; logs and report.html are in r\n" in message
+    assert "  | NoGrip: nothing there" in message
+    assert "  | ValueError: only printed" in message
+    assert re.search(r"^T1 touch forearm .* 1 crashed$", message, re.MULTILINE)
+    assert main([*command, "--allow-failures", "-v"]) == 0
+    message = capsys.readouterr().out
+    assert "safe failure: 0; " in message
+    assert message.count("crashed: 1") == 1
+    assert "a page for each trial: carecontact report r --trials\n" in message
+    assert "scores: r/results.json\n" in message
 
 
 def test_the_harness_wins_over_the_policy(fake: pytest.MonkeyPatch) -> None:
@@ -180,26 +187,26 @@ def test_score_says_what_differs_and_names_what_it_skips(
     doctored["trials"][0]["stroke_m"] = 9.5
     Path("r/results.json").write_text(json.dumps(doctored))
     capsys.readouterr()
-    assert main(["score", "r"]) == 0
-    told = capsys.readouterr().out
-    assert "1 value differs" in told
-    assert "trials.T1-s000.stroke_m: 9.5 -> 0.0" in told
+    assert main(["report", "--rescore", "r"]) == 0
+    printed = capsys.readouterr().out
+    assert "1 value differs" in printed
+    assert "trials.T1-s000.stroke_m: 9.5 -> 0.0" in printed
     assert Path("r/results.json").read_bytes() == original
 
     Path("r/T1-s001.h5").write_bytes(b"broken")
-    assert main(["score", "r"]) == 1
-    told = capsys.readouterr().out
-    assert "skipped T1-s001.h5" in told
-    assert "incomplete, 1 of 2 planned trials have a verdict" in told
+    assert main(["report", "--rescore", "r"]) == 1
+    printed = capsys.readouterr().out
+    assert "skipped T1-s001.h5" in printed
+    assert "incomplete, 1 of 2 planned trials have a verdict" in printed
 
     before = Path("r/results.json").read_bytes()
     Path("r/T1-s000.h5").write_bytes(b"broken")
-    assert main(["score", "r"]) == 1
+    assert main(["report", "--rescore", "r"]) == 1
     assert "incomplete, 0 of 2 planned trials have a verdict" in capsys.readouterr().out
     assert Path("r/results.json").read_bytes() == before
 
 
-def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
+def test_a_missing_recording_is_named_and_a_folder_for_results_is_one_line(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
@@ -208,21 +215,18 @@ def test_a_missing_recording_is_told_and_a_folder_for_results_is_one_line(
     assert "ncomplete, " not in Path("r/report.html").read_text()
     Path("r/T1-s001.h5").unlink()
     before = Path("r/results.json").read_bytes()
-    assert main(["score", "r"]) == 1
-    told = capsys.readouterr().out
-    assert "incomplete, 1 of 2 planned trials have a verdict" in told
-    assert "r/results.json was not replaced: --allow-missing replaces it" in told
+    assert main(["report", "--rescore", "r"]) == 1
+    printed = capsys.readouterr().out
+    assert "incomplete, 1 of 2 planned trials have a verdict" in printed
+    assert "r/results.json was not replaced: --allow-missing replaces it" in printed
     assert Path("r/results.json").read_bytes() == before
-    assert main(["score", "r", "--allow-missing"]) == 0
+    assert main(["report", "--rescore", "r", "--allow-missing"]) == 0
     assert json.loads(Path("r/results.json").read_text())["missing"] == ["T1-s001"]
     assert main(["report", "r"]) == 0
-    assert (
-        "Incomplete, 1 of 2 trials have a verdict: hover passes between 0 and 1 of 2"
-        in Path("r/report.html").read_text()
-    )
+    assert "hover passed 0 to 1 of 2 trials safely" in Path("r/report.html").read_text()
     Path("r/results.json").unlink()
     Path("r/results.json").mkdir()
-    assert main(["score", "r"]) == 2
+    assert main(["report", "--rescore", "r"]) == 2
     assert capsys.readouterr().err == "error: r/results.json: Is a directory\n"
 
 
@@ -237,14 +241,14 @@ def test_an_edited_protocol_is_not_shown_as_the_shipped_one(
     assert f"1 trial of {held.id} into a\n" in capsys.readouterr().out
     Path("p.toml").write_text(shipped.replace("time_limit_s = 30.0", "time_limit_s = 31.0"))
     assert main([*command, "b"]) == 2
-    told = capsys.readouterr().err
-    assert "phases.time_limit_s: locked 30.0, here 31.0" in told
-    assert "Give p.toml an id of its own" in told
+    printed = capsys.readouterr().err
+    assert "phases.time_limit_s: locked 30.0, here 31.0" in printed
+    assert "Give p.toml an id of its own" in printed
     assert not Path("b").exists()
     main([*command, "b", "--unfrozen"])
     assert f"1 trial of {held.id} with differences from its lock (protocol sha256" in capsys.readouterr().out
     Path("p.toml").write_text(
-        shipped.replace(f'"{held.id}"', '"mine"').replace('body = "man-adult"', 'body = "nobody"')
+        shipped.replace(f'"{held.id}"', '"mine"').replace('body = "man-adult"', 'body = "absent"')
     )
     Path("p.toml").write_text(Path("p.toml").read_text().replace("frozen = true", "frozen = false"))
     assert main([*command, "c"]) == 2
@@ -255,18 +259,18 @@ def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = Path("runs/demo")
-    assert main(["demo"]) == 1
+    assert main(["run", "--demo"]) == 1
     first = (folder / "manifest.json").read_bytes()
     (folder / "T1-s000.h5").write_bytes(b"old")
     (folder / "notes.txt").write_text("mine")
     capsys.readouterr()
     fake.setenv("FAKE_PLAN", json.dumps({"T2-s000": "policy", "T3-s000": "kill"}))
-    assert main(["demo"]) == 1
-    told = capsys.readouterr().out
-    assert "demo: T2-s000 crashed: NoGrip: nothing there" in told
-    assert "demo: T3-s000 failed in the harness: the trial's process died of signal 9" in told
-    assert all(f"demo: no {action} task succeeded" in told for action in ("touch", "push", "scrub"))
-    assert "demo failed in" in told
+    assert main(["run", "--demo"]) == 1
+    printed = capsys.readouterr().out
+    assert "demo: T2-s000 crashed: NoGrip: nothing there" in printed
+    assert "demo: T3-s000 failed in the harness: the trial's process died of signal 9" in printed
+    assert all(f"demo: no {action} task succeeded" in printed for action in ("touch", "push", "scrub"))
+    assert "demo failed in" in printed
     assert (folder / "T1-s000.h5").read_bytes() != b"old"
     assert (folder / "manifest.json").read_bytes() == first
     assert (folder / "notes.txt").read_text() == "mine"
@@ -286,33 +290,76 @@ def test_demo_leaves_what_is_no_demo_alone(
         Path("r").mkdir()
         Path("r/T1-s000.h5").write_bytes(b"mine")
     elif made_by == "demo and a trial more":
-        main(["demo", "--out", "r"])
+        main(["run", "--demo", "--out", "r"])
         main(["run", "--policy", "state-machine", "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
     else:
         policy = "state-machine" if made_by == "run of the same trials" else "hover"
-        main(["run", "--policy", policy, "--seeds", "0", "--out", "r"])
+        tasks = "all" if policy == "state-machine" else "T1"
+        main(["run", "--policy", policy, "--tasks", tasks, "--seeds", "0", "--out", "r"])
     before = {path.name: path.read_bytes() for path in Path("r").iterdir()}
-    assert main(["demo", "--out", "r"]) == 2
+    assert main(["run", "--demo", "--out", "r"]) == 2
     assert "--out r: holds something other than an earlier demo; nothing was removed" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in Path("r").iterdir()} == before
 
 
 @pytest.mark.parametrize(
-    ("command", "told"), [("demo", "until the next demo there replaces them"), ("run", "to continue"), ("score", "")]
+    ("command", "left"),
+    [
+        (["run", "--demo"], "; finished trials stay in the folder until the next demo there replaces them"),
+        (
+            ["run", "--policy", "hover", "--restart", "--out", "r"],
+            "; finished trials are kept; to continue: carecontact run --policy hover --out r",
+        ),
+        (["report", "--rescore", "."], ""),
+    ],
 )
-def test_what_an_interrupt_leaves_is_told_truly(
-    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, told: str
+def test_an_interrupted_command_says_what_it_leaves(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: list[str], left: str
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     fake.setattr(supervisor, "run_trials", interrupted)
-    fake.setattr("carecontact.cli.score.rescore", interrupted)
-    options = {"run": ["--policy", "hover", "--out", "r"], "demo": [], "score": ["."]}
-    assert main([command, *options[command]]) == 130
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.endswith(told)
-    assert (last == "interrupted") == (command == "score")
+    fake.setattr("carecontact.cli.publish.scores_of", interrupted)
+    Path("T1-s000.h5").touch()
+    assert main(command) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == f"interrupted{left}"
+
+
+def test_a_run_without_out_names_its_folder_and_the_command_that_goes_on_there(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "exit"}))
+    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0"]
+    assert main(command) == 1
+    (folder,) = Path("runs").iterdir()
+    assert re.fullmatch(r"hover-\d{8}-\d{6}", folder.name)
+    again = shlex.join(["carecontact", *command, "--out", str(folder)])
+    assert f"to run them again: {again}\n" in capsys.readouterr().out
+    run = parse(["run", "--policy", "ws://user:secret@[::1]:8765/a?b=c"])
+    assert isinstance(run, Run)
+    assert re.fullmatch(r"ws-1-8765-a-b-c-\d{8}-\d{6}", run.place.name)
+
+
+def test_the_verdict_stands_beside_floor_and_ceiling_and_a_miss_in_place_of_a_table(
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def kept(passed: int, **of_all: object) -> RunScores:
+        made = [s.model_copy(update={"safety_gated": s.seed < passed, **of_all}) for s in score_run(Path("r")).scores]
+        return RunScores(scores=made)
+
+    assert main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-2", "--out", "r"]) == 0
+    printed = capsys.readouterr().out
+    assert "hover passes 0 of 3 trials (0 %) of bathing-v3-draft" in printed
+    assert "the robot never touched the person" in printed
+    assert re.search(r"^T1 touch forearm +3 +\d+ +\d+\.\d\d +T1-s00\d ", printed, re.MULTILINE)
+    assert "NA" not in printed
+    assert "\nmedian" not in printed
+    both = [kept(1, policy="replay"), kept(3, policy="oracle", privileged=True)]
+    fake.setattr(baselines, "shipped_scores_for", lambda run, named, folders=(): (both, ""))
+    assert main(["report", "r"]) == 0
+    line = "hover passes 0 of 3 trials (0 %) of bathing-v3-draft; best blind baseline: replay 1 of 3; ceiling: oracle 3"
+    assert line in capsys.readouterr().out
 
 
 def test_differences_match_trials_by_id() -> None:
@@ -331,9 +378,9 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     title = "bathing-v3-draft with body woman-old-light"
     assert main([*command, "--body", "woman-old-light"]) == 0
-    told = capsys.readouterr().out
-    assert f"1 trial of {title} into r" in told
-    assert f"protocol: {title}" in told
+    printed = capsys.readouterr().out
+    assert f"1 trial of {title} into r" in printed
+    assert f"(0 %) of {title}" in printed
     results = json.loads(Path("r/results.json").read_text())
     assert results["protocol"]["overrides"] == {"person.body": "woman-old-light"}
     assert title in Path("r/report.html").read_text()
@@ -350,7 +397,7 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
         Recording(header=recording.header.model_copy(update={"spec": spec}), arrays=recording.arrays),
         Path("r/T1-s001.h5"),
     )
-    assert main(["score", "r"]) == 2
+    assert main(["report", "--rescore", "r"]) == 2
     assert "trials of 2 protocols must not be pooled" in capsys.readouterr().err
 
 
@@ -377,9 +424,9 @@ def test_a_stiffness_that_the_protocol_does_not_allow_is_one_line(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["run", "--policy", "hover", "--out", "r", "--stiffness", "5000"]) == 2
-    said = capsys.readouterr().err
-    assert "impedance.translational_n_m: expected 100 to 1000" in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert "impedance.translational_n_m: expected 100 to 1000" in printed
+    assert printed.count("\n") == 1
     assert not Path("r").exists()
 
 
@@ -393,17 +440,17 @@ def test_naming_the_protocols_own_body_is_no_override(
 
 
 @pytest.mark.parametrize(
-    ("body", "told"),
+    ("body", "message"),
     [("giant", "no body named 'giant'; valid: man-adult"), ("smplx:none.npz?sex=F", "No such file or directory"),
      ("smplx:none.npz", "No such file or directory")],
 )  # fmt: skip
 def test_a_body_that_there_is_not_is_one_line(
-    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], body: str, told: str
+    fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], body: str, message: str
 ) -> None:
     assert main(["run", "--policy", "hover", "--out", "r", "--body", body]) == 2
-    said = capsys.readouterr().err
-    assert told in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert printed.count("\n") == 1
     assert not Path("r").exists()
 
 
@@ -412,7 +459,7 @@ def test_a_body_that_there_is_not_is_one_line(
 POLICY = f"""
 class P(Base):
     def reset(self, instruction):
-        with open(os.path.join(os.path.dirname(__file__), "told", "pids.part"), "w") as file:
+        with open(os.path.join(os.path.dirname(__file__), "message", "pids.part"), "w") as file:
             file.write(f"{{os.getpid()}} {{{NAMESPACE}}} {{os.environ['TMPDIR']}}")
         os.rename(file.name, file.name.removesuffix(".part"))
         time.sleep(600)
@@ -458,11 +505,11 @@ def _heeds_signals() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel kills worker and policy")
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGQUIT", "closed terminal"])
 def test_nothing_is_left_running(tmp_path: Path, how: str, sandbox: bool) -> None:
-    (tmp_path / "told").mkdir()
+    (tmp_path / "message").mkdir()
     (tmp_path / "mine.py").write_text(PREAMBLE + POLICY)
     command = [
         sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
-        "17", "--fast", "--policy-write", "told",
+        "17", "--fast", "--policy-write", "message",
     ]  # fmt: skip
     terminal = _Terminal()
     theirs = terminal.theirs
@@ -473,8 +520,8 @@ def test_nothing_is_left_running(tmp_path: Path, how: str, sandbox: bool) -> Non
     )  # fmt: skip
     os.close(theirs)
     try:
-        assert _soon((tmp_path / "told" / "pids").exists, within_s=120)
-        pid, namespace, temporary = (tmp_path / "told" / "pids").read_text().split()
+        assert _soon((tmp_path / "message" / "pids").exists, within_s=120)
+        pid, namespace, temporary = (tmp_path / "message" / "pids").read_text().split()
         policy = pid_here(int(pid), namespace)
         watcher = int(Path(f"/proc/{policy}/stat").read_text().rpartition(")")[2].split()[1])
         processes = [policy, watcher, run.pid]

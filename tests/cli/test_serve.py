@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shlex
 import socket
 import subprocess
 import sys
@@ -67,16 +68,16 @@ def test_a_dialects_key_comes_from_its_own_variable(monkeypatch: pytest.MonkeyPa
     assert "sk-key" not in str(caught.value)
 
 
-def test_a_server_that_is_not_there_is_told_before_anything_runs(
+def test_a_server_that_is_not_there_is_named_before_anything_runs(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake.setattr("carecontact.serving.opening.FIRST_PAUSE_S", WITHOUT_WAITING)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     assert main([*RUN, f"ws://127.0.0.1:{port}"]) == 2
-    told = capsys.readouterr().err
-    assert f"--policy ws://127.0.0.1:{port} does not answer as a policy server: " in told
-    assert "nothing listens at" in told
+    printed = capsys.readouterr().err
+    assert f"--policy ws://127.0.0.1:{port} does not answer as a policy server: " in printed
+    assert "nothing listens at" in printed
     for option in (["--language", "rules-v1"], ["--policy-arg", "steps=3"], ["--policy-env", "HOME"]):
         assert main([*RUN, f"ws://127.0.0.1:{port}", *option]) == 2
         assert "give them to `carecontact serve` there" in capsys.readouterr().err
@@ -107,15 +108,15 @@ def test_a_server_that_stays_away_ends_the_run_with_status_2_and_says_how_to_go_
     with served("class P(Base): pass", tmp_path) as (port, _):
         run = ["run", "--tasks", "T1", "--seeds", "0-2", "--jobs", "1", "--policy", f"ws://127.0.0.1:{port}", "--out"]
         assert main([*run, "r", "--restart"]) == 2
-        told = capsys.readouterr()
-        assert told.err.splitlines() == [
-            "error: the run stops with 1 of 3 trials done: nothing listens there; then give the same command again "
-            "without --restart to continue"
+        printed = capsys.readouterr()
+        assert printed.err.splitlines() == [
+            "error: the run stops with 1 of 3 trials done: nothing listens there; then continue with: "
+            f"{shlex.join(['carecontact', *run, 'r'])}"
         ]
-        assert "the policy crashed in 1 of 1 trial" in told.out
-        assert "incomplete, 1 of 3 planned trials have a verdict: 0–2/3 safety-gated" in told.out
-        assert "no verdict on 2 planned trials, no recording: T1-s001, T1-s002" in told.out
-        assert "passes between 0 and 2 of 3 on the named" in Path("r/report.html").read_text()
+        assert "the policy crashed in 1 of 1 trial" in printed.out
+        assert "incomplete, 1 of 3 planned trials have a verdict: 0–2/3 safety-gated" in printed.out
+        assert "no verdict on 2 planned trials, no recording: T1-s001, T1-s002" in printed.out
+        assert "passed 0 to 2 of 3 trials safely" in Path("r/report.html").read_text()
         fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "unreached"}))
         assert main([*run, "none"]) == 2
         assert "the run stops with 0 of 3 trials done: " in capsys.readouterr().err
@@ -150,7 +151,7 @@ def a_server(tmp_path: Path, before: Callable[[], None] = lambda: None) -> Itera
         server.stdout.close()
 
 
-def test_a_server_whose_lines_nobody_reads_any_more_goes_on(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_server_whose_lines_no_one_reads_any_more_goes_on(fake: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with a_server(tmp_path) as (port, server):
         assert server.stdout is not None
         server.stdout.close()
@@ -183,12 +184,12 @@ def test_a_server_without_descriptors_says_so_and_serves_later(fake: pytest.Monk
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["nobody"], "no policy named 'nobody'"),
+        (["absent"], "no policy named 'absent'"),
         (["ws://host:80"], "ws://host:80: a policy with an address is served already"),
         (["hover", "--port", "70000"], "--port 70000: expected 0 to 65535"),
         (["hover", "--at-once", "0"], "--at-once 0: must be at least 1"),
         (["hover", "--host", "192.0.2.1"], "cannot listen on 192.0.2.1, port 8765: "),
-        (["hover", "--language", "rules-v1"], "policy hover has no language backend"),
+        (["hover", "--language", "rules-v1"], "policy hover takes no --language"),
         (["hover", "--policy-arg", "steps=3"], "policy 'hover' failed at start: it has no argument 'steps'"),
         (["not_there:P"], "--policy not_there:P does not start"),
     ],

@@ -71,10 +71,10 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     assert capsys.readouterr().out.count("2 trials\n") == 4
     assert not Path("s").exists()
     assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
-    told = capsys.readouterr().out
-    assert "p.toml: 4 cells, 8 trials, into s\n" in told
-    assert "8 trials in " in told
-    assert "at most 2 at once: " in told
+    printed = capsys.readouterr().out
+    assert "p.toml: 4 cells, 8 trials, into s\n" in printed
+    assert "8 trials in " in printed
+    assert "at most 2 at once: " in printed
     assert [(row["policy"], row["body"], row["trials"], row["safety_gated"]) for row in rows()] == [
         (policy, body, "2", "0") for body in ("man-adult", "woman-old-light") for policy in ("hover", "zero-action")
     ]
@@ -110,12 +110,12 @@ def test_cells_are_finished_one_after_another(fake: pytest.MonkeyPatch) -> None:
     begun: list[str] = []
     report = Run._report
 
-    def told(run: Run, kind: EventKind, trial_id: str, **more: Any) -> None:
+    def message(run: Run, kind: EventKind, trial_id: str, **more: Any) -> None:
         if kind == "started":
             begun.append(run._out.name)
         report(run, kind, trial_id, **more)
 
-    fake.setattr(Run, "_report", told)
+    fake.setattr(Run, "_report", message)
     Path("p.toml").write_text(PLAN.replace("0-1", "0-3"))
     assert main(["sweep", "p.toml", "--out", "s", "--jobs", "2"]) == 0
     assert begun == [name for name in dict.fromkeys(begun) for _ in range(4)]
@@ -185,13 +185,13 @@ def test_parts_in_several_folders_become_one_sweep(
 def test_what_is_no_part_of_a_sweep_is_refused(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "p.toml", "--out", "s", "--seeds", "0"]) == 0
     cell = sorted(Path("s/cells").iterdir())[0]
-    for parts, told in (
+    for parts, message in (
         (["s", str(cell)], f"{cell} is not a sweep: it holds no folder cells"),
         (["s", "s"], "s is given twice"),
         (["s", "nothing"], "nothing is not a sweep"),
     ):
         assert main(["merge", "merged", *parts]) == 2
-        assert told in capsys.readouterr().err
+        assert message in capsys.readouterr().err
         assert not Path("merged").exists()
 
 
@@ -259,7 +259,8 @@ def test_the_other_policies_go_on_without_a_server_that_stays_away(
         Path("p.toml").write_text(PLAN.replace('"hover"', f'"ws://127.0.0.1:{port}"'))
         assert main(["sweep", "p.toml", "--out", "s", "--jobs", "1"]) == 2
         assert capsys.readouterr().err == (
-            "error: nothing listens there; then give the same command again for the trials that are missing\n"
+            "error: nothing listens there; then run the missing trials with: carecontact sweep p.toml --out s "
+            "--jobs 1\n"
         )
         assert [row["trials"] for row in rows()] == ["1", "2", "0", "2"]
         fake.setenv("FAKE_PLAN", "{}")
@@ -297,12 +298,12 @@ def most_at_once(fake: pytest.MonkeyPatch) -> Counter[str]:
     def opened(specs: Sequence[TrialSpec], **options: Any) -> Any:
         on_event, policy = options["on_event"], specs[0].policy
 
-        def told(event: TrialEvent) -> None:
+        def message(event: TrialEvent) -> None:
             running[policy] += (event.kind == "started") - (event.kind == "finished")
             most[policy] = max(most[policy], running[policy])
             on_event(event)
 
-        return made(specs, **{**options, "on_event": told})
+        return made(specs, **{**options, "on_event": message})
 
     fake.setattr(supervisor, "open_run", opened)
     return most
@@ -317,7 +318,7 @@ def test_a_policy_has_no_more_trials_at_once_than_its_plan_says(fake: pytest.Mon
     assert [row["trials"] for row in rows()] == ["2"] * 4
 
 
-def test_failures_of_a_cell_are_told_and_give_the_status(
+def test_failures_of_a_cell_are_named_and_give_the_status(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "policy"}))
@@ -330,20 +331,20 @@ def test_failures_of_a_cell_are_told_and_give_the_status(
     assert "The harness failed in 4 trials, which have no verdict." in Path("s/sweep.md").read_text()
 
 
-def test_what_is_suspect_about_a_policy_is_told_in_one_of_its_cells(
+def test_what_is_suspect_about_a_policy_is_named_in_one_of_its_cells(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake.setenv("FAKE_PLAN", json.dumps({"T1-s000": "answers"}))
     assert main(["sweep", "p.toml", "--out", "s"]) == 0
-    told = [line for line in capsys.readouterr().out.splitlines() if "warning: the first answer" in line]
-    assert [line.split("] ")[1].split("_")[0] for line in told if "quaternion" in line] == ["hover", "zero-action"]
-    assert len(told) == 4, "two lines about each"
+    printed = [line for line in capsys.readouterr().out.splitlines() if "warning: the first answer" in line]
+    assert [line.split("] ")[1].split("_")[0] for line in printed if "quaternion" in line] == ["hover", "zero-action"]
+    assert len(printed) == 4, "two lines about each"
 
 
 def test_a_wrong_plan_is_one_line_and_makes_no_folder(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for old, new, told in (
+    for old, new, message in (
         ('"zero-action"', '"zero"', "plan p.toml: policies: no policy named 'zero' (did you mean 'zero-action'?)"),
         ('"zero-action"', '"zero-action"\narguments = { x = 1 }', "zero-action"),
         ("body", "bodies", "plan p.toml: axes.bodies: no such axis (did you mean 'body'?)"),
@@ -351,7 +352,7 @@ def test_a_wrong_plan_is_one_line_and_makes_no_folder(
         Path("p.toml").write_text(PLAN.replace(old, new))
         assert main(["sweep", "p.toml", "--out", "s"]) == 2
         error = capsys.readouterr().err
-        assert told in error
+        assert message in error
         assert not Path("s").exists()
 
 

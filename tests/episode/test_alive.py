@@ -172,8 +172,9 @@ def test_a_person_who_does_nothing_leaves_no_such_arrays(
         assert episode.finish().arrays.keys().isdisjoint(OWN)
 
 
-def test_the_policy_is_shown_the_same_fields(begin: Callable[..., World], t1: TrialSpec,
-                                             parked_world: Callable[[TrialSpec], World]) -> None:  # fmt: skip
+def test_the_policy_is_shown_the_same_fields(
+    begin: Callable[..., World], t1: TrialSpec, parked_world: Callable[[TrialSpec], World]
+) -> None:
     shown = []
     for spec, prepare in ((SPEC, begin), (t1, parked_world)):
         with Episode(spec, card=CARD, prepare=prepare) as episode:
@@ -191,5 +192,5 @@ def test_the_state_of_a_person_who_is_awake_is_refused_by_a_world_in_which_nobod
     start_motion_script(awake, SEED)
     state = awake.integration_state()
     awake.restore(state, comfort_arm_deg=52.5)
-    with pytest.raises(SceneError, match="nobody woke the person of this world"):
+    with pytest.raises(SceneError, match="the person of this world never woke"):
         fresh.restore(state, comfort_arm_deg=52.5)

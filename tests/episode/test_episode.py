@@ -114,8 +114,9 @@ def test_what_step_says_is_how_it_ended(again: Callable[[TrialSpec], World], mon
         steps = [episode.step(Action()), episode.step(Action(), observe=False), episode.step(Action())]
         assert [step.observation is not None for step in steps] == [True, False, False]
         assert [(s.terminated, s.truncated, s.reason) for s in steps[1:]] == [
-            (False, False, None), (False, True, "time_limit"),
-        ]  # fmt: skip
+            (False, False, None),
+            (False, True, "time_limit"),
+        ]
         with pytest.raises(ConfigError, match="before the episode has ended"):
             episode.step(Action())
         recording = episode.finish()
@@ -214,10 +215,9 @@ class Once:
 
 
 def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> None:
-    variation = Variation(
-        appearance="varied-v1", light="varied-v1", depth_noise="structured-light-v1", encoder_noise_rad=0.003,
-        place_along_m=0.04, place_across_m=0.03, place_yaw_deg=5.0,
-    )  # fmt: skip
+    looks = {"appearance": "varied-v1", "light": "varied-v1", "depth_noise": "structured-light-v1"}
+    place = {"place_along_m": 0.04, "place_across_m": 0.03, "place_yaw_deg": 5.0}
+    variation = Variation.model_validate({**looks, **place, "encoder_noise_rad": 0.003})
     protocol = load_protocol().model_copy(update={"variation": variation})
     (tmp_path / "look_once.py").write_text(FIRST_LOOK_POLICY)
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=2, policy="look_once:Once")
@@ -228,7 +228,7 @@ def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> N
         for modality in ("rgb", "depth"):
             stored = recording[f"policy/frames/0000/{camera}/{modality}"]
             np.testing.assert_array_equal(getattr(view, modality), stored)
-    # What nobody asked for was neither rendered nor measured: 2 RGB and 2 depth; and two pictures for the report.
+    # Nothing else was rendered or measured than what the card requests: 2 RGB and 2 depth; two pictures for the report.
     assert recording["wall/renders"].tolist() == [2, 2, 0, 0, 0]
     assert recording["wall/report_renders"].tolist() == [2]
     assert perception_errors(recording) is None

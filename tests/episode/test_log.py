@@ -49,13 +49,21 @@ class Clock:
 
         return [
             Samples(
-                time_s=time, force=ramp(s, 3), normal=2 * ramp(s), centroid=3 * ramp(s, 3), beside_force=self.beside[0],
-                beside_normal=self.beside[1], human_joint=4 * ramp(3),
+                time_s=time,
+                force=ramp(s, 3),
+                normal=2 * ramp(s),
+                centroid=3 * ramp(s, 3),
+                beside_force=self.beside[0],
+                beside_normal=self.beside[1],
+                human_joint=4 * ramp(3),
                 human_reaction=10 * ramp(3),
-                tcp_pose=5 * ramp(7), tcp_speed=6 * time, tcp_rotation_speed=7 * time, wrist=8 * ramp(3),
+                tcp_pose=5 * ramp(7),
+                tcp_speed=6 * time,
+                tcp_rotation_speed=7 * time,
+                wrist=8 * ramp(3),
                 region_pose=9 * ramp(len(STANDARD_REGIONS), 7),
             )
-        ]  # fmt: skip
+        ]
 
 
 CONSTANTS = {
@@ -80,9 +88,12 @@ def add_period(log: TrialLog, clock: Clock, *blocks: int) -> None:
     """One period of the clock, in blocks of so many steps; keeps the state where the log wants one."""
     samples = [sample for steps in blocks or (STEPS,) for sample in clock.advance(steps)]
     now = clock.time_s
-    log.add_period(
-        samples, time_s=now, indentation_m=np.full(len(STANDARD_REGIONS), now / 100), target_in_base=np.full(7, now)
-    )
+    row = {
+        "scorer/period_time_s": now,
+        "scorer/indentation_m": np.full(len(STANDARD_REGIONS), now / 100),
+        "scorer/target_in_base": np.full(7, now),
+    }
+    log.add_period(samples, row)
     if log.wants_state(now):
         log.add_state(now, np.array([now, 1.0, 2.0]))
 
@@ -93,10 +104,9 @@ def row(pose: float | np.ndarray = np.nan, stiffness: tuple[float, float] = (400
 
 def observation(time: float, **images: Any) -> Observation:
     view = CameraView(intrinsics=np.eye(3), pose_camera_in_base=np.eye(4), **images)
-    return Observation(
-        instruction="touch", sim_time_s=time, joint_position=np.zeros(7), joint_velocity=np.zeros(7),
-        gripper_position=np.zeros(1), pose_tcp_in_base=np.zeros(7), cameras={"overhead": view, "wrist": view},
-    )  # fmt: skip
+    arm = {name: np.zeros(7) for name in ("joint_position", "joint_velocity", "pose_tcp_in_base")}
+    cameras = {"overhead": view, "wrist": view}
+    return Observation(instruction="touch", sim_time_s=time, gripper_position=np.zeros(1), cameras=cameras, **arm)
 
 
 def sha(text: str) -> bytes:
@@ -133,43 +143,32 @@ def test_a_full_trial_fits_the_schema(clock: Clock, log: TrialLog) -> None:
 
 
 def test_each_stream_goes_to_its_own_array_in_the_order_of_time(clock: Clock, log: TrialLog) -> None:
-    for _ in range(4):
-        add_period(log, clock)
+    """Also in several blocks, and where the arrays were read before."""
+    for blocks in ((), (3, 7), (), ()):
+        add_period(log, clock, *blocks)
+        assert len(log.arrays()["scorer/time_s"]) == clock.steps
     arrays = log.arrays()
+    ends = np.array([0.02, 0.04, 0.06, 0.08])
+    np.testing.assert_allclose(arrays["scorer/period_time_s"], ends)
+    np.testing.assert_allclose(arrays["scorer/indentation_m"], np.outer(ends / 100, [1, 1, 1]), rtol=1e-6)
+    np.testing.assert_allclose(arrays["scorer/target_in_base"], np.outer(ends, np.ones(7)), rtol=1e-6)
     time = np.arange(4 * STEPS) * PERIOD_S / STEPS
     np.testing.assert_allclose(arrays["scorer/time_s"], time, atol=1e-12)
-    for factor, path in enumerate(
-        (
-            "force_human_from_robot_in_world", "normal_force", "centroid_in_world", "human_joint_position",
-            "pose_tcp_in_world", "tcp_speed", "tcp_rotation_speed", "wrist_in_world", "region_pose_in_world",
-            "human_joint_reaction",
-        ),
-        start=1,
-    ):  # fmt: skip
+    paths = [
+        *("force_human_from_robot_in_world", "normal_force", "centroid_in_world", "human_joint_position"),
+        *("pose_tcp_in_world", "tcp_speed", "tcp_rotation_speed", "wrist_in_world", "region_pose_in_world"),
+        "human_joint_reaction",
+    ]
+    for factor, path in enumerate(paths, start=1):
         array = arrays[f"scorer/{path}"]
         expected = np.broadcast_to((factor * time).reshape(-1, *[1] * (array.ndim - 1)), array.shape)
         np.testing.assert_allclose(array, expected, rtol=1e-6, err_msg=path)
 
 
-def test_several_blocks_at_once_are_one_stretch(clock: Clock, log: TrialLog) -> None:
-    add_period(log, clock, 3, 7)
+def test_constants_and_extra_arrays_are_in_the_recording(log: TrialLog) -> None:
+    log.extra["wall/act_s"] = np.array([0.1, 0.2])
     arrays = log.arrays()
-    np.testing.assert_allclose(arrays["scorer/time_s"], np.arange(10) * 0.002, atol=1e-12)
-    assert len(arrays["scorer/period_time_s"]) == 1
-
-
-def test_period_values_are_those_at_its_end(clock: Clock, log: TrialLog) -> None:
-    for _ in range(3):
-        add_period(log, clock)
-    arrays = log.arrays()
-    ends = np.array([0.02, 0.04, 0.06])
-    np.testing.assert_allclose(arrays["scorer/period_time_s"], ends)
-    np.testing.assert_allclose(arrays["scorer/indentation_m"], np.outer(ends / 100, [1, 1, 1]), rtol=1e-6)
-    np.testing.assert_allclose(arrays["scorer/target_in_base"], np.outer(ends, np.ones(7)), rtol=1e-6)
-
-
-def test_constants_travel_along(log: TrialLog) -> None:
-    arrays = log.arrays()
+    assert arrays["wall/act_s"].tolist() == [0.1, 0.2]
     for path, array in CONSTANTS.items():
         np.testing.assert_array_equal(arrays[path], array)
 
@@ -244,18 +243,6 @@ def test_the_first_frames_are_kept_and_all_hashes(log: TrialLog) -> None:
     kept = sorted({p.split("/")[2] for p in arrays if p.startswith("policy/frames/")})
     assert kept == [f"{k:04d}" for k in range(MAX_LOSSLESS_FRAMES // 2)]
     assert len(arrays["policy/observation_sha256"]) == count
-
-
-def test_extra_arrays_travel_along(log: TrialLog) -> None:
-    log.extra["wall/act_s"] = np.array([0.1, 0.2])
-    assert log.arrays()["wall/act_s"].tolist() == [0.1, 0.2]
-
-
-def test_reading_the_arrays_does_not_end_the_log(clock: Clock, log: TrialLog) -> None:
-    add_period(log, clock)
-    assert len(log.arrays()["scorer/time_s"]) == STEPS
-    add_period(log, clock)
-    assert len(log.arrays()["scorer/time_s"]) == 2 * STEPS
 
 
 def test_notes_are_kept_beside_their_observation(log: TrialLog) -> None:

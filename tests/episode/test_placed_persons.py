@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carecontact.episode.base_placement import Base
-from carecontact.episode.placed_persons import PlacedPerson, placed_person, placement_check_of, survey_placement
+from carecontact.episode.base_placement import Base, PlacementCheck
+from carecontact.episode.placed_persons import PlacedPerson, placed_person, survey_placement
 from carecontact.episode.randomization import draw
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import Protocol
@@ -39,7 +39,7 @@ def test_a_person_is_the_same_on_all_levels_and_lies_on_one_side(found: PlacedPe
 
 
 def test_the_base_that_was_taken_serves_and_others_are_refused(found: PlacedPerson) -> None:
-    ground = placement_check_of(L2, SEED, "", found.laid, found.posture)
+    ground = PlacementCheck(L2, SEED, "", found.laid, found.posture)
     for region, base in found.bases.items():
         assert ground.refusal(base, region) is None
         x, y, z = base.position_m
@@ -76,7 +76,7 @@ def impossible(protocol: Protocol) -> Protocol:
     return protocol.model_copy(update={"variation": protocol.variation.model_copy(update={"parking": far})})
 
 
-def test_a_seed_without_a_base_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_seed_without_a_base_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carecontact.episode.placed_persons.MOST_PERSONS", 1)
     lost = survey_placement(impossible(L2), SEED)
     assert lost.found is None

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 from carecontact.episode import randomization as episode_randomization
 from carecontact.episode.episode import Episode
+from carecontact.episode.log import PersonLog
 from carecontact.episode.randomization import (
     World,
     calibration,
-    comfort_arm_deg,
-    constants_of,
     sensor_noise,
     settled_world,
     streams,
@@ -32,7 +31,7 @@ from carecontact.scoring.validity import check_finite_streams
 from carecontact.sensing.calibration import BELIEVED, TRUE
 from carecontact.tissue.plugin import Law
 from carecontact.world import randomization
-from carecontact.world.randomization import STREAMS
+from carecontact.world.randomization import STREAMS, posture_of
 
 SHIPPED = load_protocol("bathing-v3-draft")
 PROTOCOL = SHIPPED.model_copy(update={"randomization": SHIPPED.randomization.model_copy(update={"drawn_as": ""})})
@@ -41,6 +40,11 @@ SEEDS = PROTOCOL.randomization.seeds
 
 GOLDEN_DEG = {0: 53.645615330454, 1: 51.275253879803, 7: 48.712697454078, 19: 49.943226319492}
 """Seeds of published results: an angle that changes here changes every trial of the protocol."""
+
+
+def comfort_arm_deg(protocol: Protocol, seed: int, *, salt: str = "") -> float:
+    """Of the seed's first draw of a person."""
+    return posture_of(protocol, seed, salt, 0).comfort_arm_deg
 
 
 @pytest.mark.parametrize(("seed", "angle"), GOLDEN_DEG.items())
@@ -57,13 +61,9 @@ def test_angle_is_in_range_and_repeats(seed: int) -> None:
 
 
 def test_angle_depends_on_the_protocols_id_and_nothing_else_in_it() -> None:
-    other_physics = PROTOCOL.model_copy(
-        update={
-            "tasks": PROTOCOL.tasks[:1],
-            "description": "other",
-            "person": PROTOCOL.person.model_copy(update={"body": "x"}),
-        }
-    )
+    person = PROTOCOL.person.model_copy(update={"body": "x"})
+    changes = {"tasks": PROTOCOL.tasks[:1], "description": "other", "person": person}
+    other_physics = PROTOCOL.model_copy(update=changes)
     renamed = PROTOCOL.model_copy(update={"id": "other-v1"})
     angles = [comfort_arm_deg(PROTOCOL, s) for s in SEEDS]
     assert [comfort_arm_deg(other_physics, s) for s in SEEDS] == angles
@@ -102,10 +102,8 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     digest = hashlib.sha256(PROTOCOL.id.encode()).digest()
     words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 32, 4)]
     made = streams(PROTOCOL, 3, "")
-    assert tuple(made) == STREAMS == (
-        "comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-        "withdrawal", "calibration", "tissue", "body", "pose", "park", "camera", "bed_height",
-    )  # fmt: skip
+    names = "comfort_arm appearance sensor_noise policy light place breathing repositioning withdrawal calibration"
+    assert tuple(made) == STREAMS == (*names.split(), *"tissue body pose park camera bed_height".split())
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
         np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))
@@ -123,10 +121,8 @@ def test_a_salt_changes_every_stream_and_ties_none_to_another() -> None:
 
 
 def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPatch) -> None:
-    varied = {
-        "appearance": "varied-v1", "light": "varied-v1", "depth_noise": "structured-light-v1",
-        "encoder_noise_rad": 0.003, "place_along_m": 0.01, "calibration_m": 0.003,
-    }  # fmt: skip
+    varied = {"appearance": "varied-v1", "light": "varied-v1", "depth_noise": "structured-light-v1"}
+    varied |= {"encoder_noise_rad": 0.003, "place_along_m": 0.01, "calibration_m": 0.003}
     person = PROTOCOL.person.model_copy(update={"alive": Alive(breathing=Breathing())})
     variation = PROTOCOL.variation.model_copy(update=varied)
     protocol = PROTOCOL.model_copy(update={"person": person, "variation": variation})
@@ -139,11 +135,11 @@ def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPa
     assert used == ["5a" * 32] * 6
 
 
-def test_salted_noise_does_not_tell_the_seed() -> None:
+def test_salted_noise_does_not_reveal_the_seed() -> None:
     """The attack: try candidate seeds against one reading of the encoders of the robot that stands parked."""
     noisy = PROTOCOL.model_copy(
         update={"variation": PROTOCOL.variation.model_copy(update={"encoder_noise_rad": 0.003})}
-    )  # fmt: skip
+    )
     parked, seed, candidates = np.array(PROTOCOL.scene.parked_joint_rad), 217, range(300)
     sag = 1e-4 * np.random.default_rng(0).standard_normal(7)
 
@@ -185,7 +181,7 @@ COLUMNS = [field.name for field in fields(Law)]
 
 def laws(protocol: Protocol, seed: int) -> np.ndarray:
     simulation, settled, _ = settled_world(protocol, task_id="T1", seed=seed)
-    return constants_of(simulation, settled)["scorer/region_law"]
+    return PersonLog(simulation, "forearm").constants(settled)["scorer/region_law"]
 
 
 def test_a_seed_draws_its_tissue_again_and_another_seed_another() -> None:
@@ -202,7 +198,7 @@ def test_the_person_lies_as_without_the_draw_and_only_then_the_law_is_recorded()
     plain, drawn = (settled_world(rules, task_id="T1", seed=0) for rules in (load_protocol(), DRAWN))
     np.testing.assert_array_equal(plain[0].integration_state(), drawn[0].integration_state())
     assert plain[2] == drawn[2], "the compiled model is the same: the draw belongs to the seed"
-    assert "scorer/region_law" not in constants_of(plain[0], plain[1])
+    assert "scorer/region_law" not in PersonLog(plain[0], "forearm").constants(plain[1])
 
 
 def test_a_recording_holds_the_law_of_a_body_of_another_build() -> None:
@@ -223,7 +219,7 @@ def test_a_recording_holds_the_law_of_a_body_of_another_build() -> None:
 CARD = PolicyCard(name="looking", modalities=("depth", "points"), cameras=("overhead", "wrist"), control_hz=20.0)
 
 
-def test_a_policy_is_told_the_believed_pose_and_the_recording_keeps_both(
+def test_a_policy_gets_the_believed_pose_and_the_recording_keeps_both(
     t1: TrialSpec, parked_world: Callable[[TrialSpec], World]
 ) -> None:
     varied = t1.protocol.variation.model_copy(update={"calibration_m": 0.003, "calibration_deg": 0.2})
@@ -232,28 +228,28 @@ def test_a_policy_is_told_the_believed_pose_and_the_recording_keeps_both(
         Episode(spec, card=CARD, prepare=parked_world) as episode,
         Episode(t1, card=CARD, prepare=parked_world) as exact,
     ):
-        told, true = episode.reset().cameras, exact.reset().cameras
+        shown, true = episode.reset().cameras, exact.reset().cameras
         episode.step(Action(done=True))
         exact.step(Action(done=True))
         recording, other = episode.finish(), exact.finish()
     error = calibration(spec.protocol, spec.seed)["overhead"]
     np.testing.assert_allclose(
-        told["overhead"].pose_camera_in_base, true["overhead"].pose_camera_in_base @ error, atol=1e-12
+        shown["overhead"].pose_camera_in_base, true["overhead"].pose_camera_in_base @ error, atol=1e-12
     )
     # The encoders know where the hand is.
-    np.testing.assert_array_equal(told["wrist"].pose_camera_in_base, true["wrist"].pose_camera_in_base)
+    np.testing.assert_array_equal(shown["wrist"].pose_camera_in_base, true["wrist"].pose_camera_in_base)
     # The camera itself stays where it is, and so does its picture; the points made of it move.
-    assert told["overhead"].depth is not None
+    assert shown["overhead"].depth is not None
     assert true["overhead"].depth is not None
-    np.testing.assert_array_equal(told["overhead"].depth, true["overhead"].depth)
-    assert told["overhead"].points is not None
+    np.testing.assert_array_equal(shown["overhead"].depth, true["overhead"].depth)
+    assert shown["overhead"].points is not None
     assert true["overhead"].points is not None
-    moved = np.median(np.linalg.norm(told["overhead"].points - true["overhead"].points, axis=1))
+    moved = np.median(np.linalg.norm(shown["overhead"].points - true["overhead"].points, axis=1))
     assert 0.001 < moved < 0.03
 
     check_finite_streams(recording)
     assert not {BELIEVED, TRUE} & set(other.arrays)
-    for path, cameras in ((BELIEVED, told), (TRUE, true)):
+    for path, cameras in ((BELIEVED, shown), (TRUE, true)):
         assert recording[path].shape == (1, len(CAMERAS), 7)
         for row, name in zip(recording[path][0], CAMERAS, strict=True):
             if path == TRUE and name not in cameras:

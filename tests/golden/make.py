@@ -41,7 +41,7 @@ def wavy(duration: float, start: float, stop: float, force: float, depth: float)
 
 def golden() -> Iterator[Recording]:
     """A gentle touch, a push that slips to the hand, a scrub, a scrub too hard, one beside its region, one that
-    touched nobody and one whose policy died."""
+    touched no one and one whose policy died."""
     target = [(0.1, (0.0, 0.0, 0.04)), (0.5, (0.05, 0.0, 0.03))]
     yield make_recording("T1", duration=1.0, normal={"right_forearm": wavy(1.0, 0.2, 0.9, 6.0, 1.5)})
     joints = np.ones((800, len(JOINTS)))

@@ -48,12 +48,10 @@ def _arrays(name: str) -> dict[str, np.ndarray]:
     wanted = np.array([[*places.get(joint, places["pelvis"]), 1.0] for joint in JOINTS])
     regressor = wanted @ np.linalg.solve(rows @ rows.T, rows)
     parents = [-1] + [JOINTS.index(PARENTS.get(joint) or finger_parent(joint)) for joint in JOINTS[1:]]
-    arrays = {
-        "v_template": vertices @ TO_MESH, "f": body.faces.astype(np.uint32), "weights": weights,
-        "J_regressor": regressor, "kintree_table": np.array([parents, range(len(JOINTS))], np.int64),
-        "shapedirs": np.stack([0.01 * vertices @ TO_MESH, np.zeros_like(vertices)], -1),
-        "posedirs": np.zeros((3, 3, 1)),
-    }  # fmt: skip
+    arrays = {"v_template": vertices @ TO_MESH, "f": body.faces.astype(np.uint32), "weights": weights}
+    arrays |= {"J_regressor": regressor, "kintree_table": np.array([parents, range(len(JOINTS))], np.int64)}
+    arrays["shapedirs"] = np.stack([0.01 * vertices @ TO_MESH, np.zeros_like(vertices)], -1)
+    arrays["posedirs"] = np.zeros((3, 3, 1))
     return arrays | {"vt": body.uv, "ft": body.uv_faces.astype(np.uint32)}
 
 
@@ -77,8 +75,8 @@ def t_pose(body: Body, dense: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndar
     rows = hinges(body)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         arm = [f"{side}_{n}" for n in ("upper_arm", "forearm", "hand")]
-        moving = [p for p in places if p.startswith(side) and p.removeprefix(f"{side}_")[:5] in
-                  ("elbow", "wrist", "middl", "index", "pinky")]  # fmt: skip
+        parts = tuple(f"{side}_{part}" for part in ("elbow", "wrist", "middle", "index", "pinky"))
+        moving = [place for place in places if place.startswith(parts)]
 
         def turn(turns: np.ndarray, centre: np.ndarray, share: np.ndarray, points: list[str]) -> None:
             nonlocal vertices

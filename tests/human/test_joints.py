@@ -20,8 +20,8 @@ from carecontact.world.scene import Scene
 
 FRONT, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 SIDES = ("left", "right")
-ARM = ("upper_arm_abduction", "upper_arm_flexion", "upper_arm_rotation", "forearm_flexion", "forearm_supination",
-       "hand_flexion", "hand_deviation")  # fmt: skip
+ARM = tuple(f"upper_arm_{motion}" for motion in ("abduction", "flexion", "rotation"))
+ARM += ("forearm_flexion", "forearm_supination", "hand_flexion", "hand_deviation")
 LEG = ("thigh_flexion", "thigh_abduction", "thigh_rotation", "shank_flexion", "foot_plantarflexion")
 
 
@@ -87,9 +87,6 @@ def limb(body: Body, side: str) -> Pose:
 
 def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))))
-
-
-# -- the table -------------------------------------------------------------------------------------------------------
 
 
 def test_bind_pose_is_inside_every_range(body: Body) -> None:
@@ -182,9 +179,6 @@ def test_equal_angles_make_a_mirror_image(body: Body, share: list[float]) -> Non
         np.testing.assert_allclose(left * mirror, right, atol=0.03)
 
 
-# -- shoulder --------------------------------------------------------------------------------------------------------
-
-
 def test_at_zero_the_arm_hangs_straight(limb: Pose, side: str) -> None:
     posed = limb()
     assert degrees_between(posed.along(f"{side}_upper_arm"), -UP) < 1
@@ -220,9 +214,6 @@ def test_positive_shoulder_rotation_turns_the_bent_forearm_to_the_belly(
     assert degrees_between(ahead, inward) == pytest.approx(60, abs=0.5)
     assert inward @ outward < -0.75
     assert aside @ outward > 0.75
-
-
-# -- elbow, forearm, wrist -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("angle", [0.0, 12.0, 90.0, 140.0])
@@ -290,9 +281,6 @@ def test_palm_and_radial_axes_are_those_of_the_mesh(body: Body, side: str) -> No
     assert (body.landmarks[f"finger2-1.{letter}"] - body.landmarks[f"finger5-1.{letter}"]) @ radial > 0.03
 
 
-# -- leg, trunk, neck ------------------------------------------------------------------------------------------------
-
-
 def test_at_zero_the_leg_stands_straight(limb: Pose, side: str) -> None:
     posed = limb()
     assert degrees_between(posed.along(f"{side}_thigh"), -UP) < 0.5
@@ -327,9 +315,6 @@ def test_trunk_and_neck_bend_forward(body: Body) -> None:
     turned = Posed(body, {"neck_rotation": 45.0})
     face = turned.turned("head", FRONT)
     assert face[0] == pytest.approx(np.sin(np.radians(45))), "positive is to the left"
-
-
-# -- agreement with the model ----------------------------------------------------------------------------------------
 
 
 def test_bind_angles_give_the_bind_pose(body: Body) -> None:

@@ -87,8 +87,6 @@ def test_root_is_found_by_bisection() -> None:
     assert angle_of_root(lambda angle: angle + 50, -10, 10) == pytest.approx(-10, abs=1e-4)
 
 
-# Where a chest is in the way of the hand, and where the upper arm's region lies because of it.
-
 ARM = "right_upper_arm"
 
 

@@ -28,6 +28,7 @@ from carecontact.interface.regions import REGIONS, STANDARD_REGIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.system import CACHE_VARIABLE
 from carecontact.world.scene import region_shell
+from tests.human.conftest import SOME_QUICK
 
 TISSUE = load_protocol().person.tissue
 FRONT = np.array([0.0, -1.0, 0.0])
@@ -35,6 +36,11 @@ FRONT = np.array([0.0, -1.0, 0.0])
 
 def sampled(body: Body, region: str) -> Shell:
     return region_shell(body, region, TISSUE[region])
+
+
+@pytest.fixture(scope="module", params=SOME_QUICK)
+def body(request: pytest.FixtureRequest) -> Body:
+    return load_body(request.param)
 
 
 @pytest.fixture(scope="module", params=STANDARD_REGIONS)
@@ -245,10 +251,8 @@ def inside(body: Body, points: np.ndarray) -> np.ndarray:
     return out
 
 
-# Shells kept on disk.
-
 PROTOCOL = load_protocol()
-BODY, KEEP_TISSUE = load_body(PROTOCOL.person.body), PROTOCOL.person.tissue["forearm"]
+BODY, FOREARM = load_body(PROTOCOL.person.body), PROTOCOL.person.tissue["forearm"]
 
 
 def forbidden() -> Shell:
@@ -259,17 +263,17 @@ def test_a_kept_shell_has_the_same_bits_and_belongs_to_one_body_region_and_tissu
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    shell = region_shell(BODY, "forearm", KEEP_TISSUE)
-    cached_shell(BODY, "forearm", KEEP_TISSUE, lambda: shell)
-    again = cached_shell(BODY, "forearm", KEEP_TISSUE, forbidden)
+    shell = region_shell(BODY, "forearm", FOREARM)
+    cached_shell(BODY, "forearm", FOREARM, lambda: shell)
+    again = cached_shell(BODY, "forearm", FOREARM, forbidden)
     for field in fields(Shell):
         value = getattr(again, field.name)
         assert type(value) is type(getattr(shell, field.name))
         np.testing.assert_array_equal(value, getattr(shell, field.name))
-    coarse = KEEP_TISSUE.model_copy(update={"spacing_m": 2 * KEEP_TISSUE.spacing_m})
+    coarse = FOREARM.model_copy(update={"spacing_m": 2 * FOREARM.spacing_m})
     for other in (
-        (replace(BODY, name="other"), "forearm", KEEP_TISSUE),
-        (BODY, "upper_arm", KEEP_TISSUE),
+        (replace(BODY, name="other"), "forearm", FOREARM),
+        (BODY, "upper_arm", FOREARM),
         (BODY, "forearm", coarse),
     ):
         with pytest.raises(AssertionError, match="computed again"):

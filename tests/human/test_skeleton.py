@@ -58,9 +58,10 @@ def test_nothing_of_the_person_is_open_to_the_tool(scene_of: Callable[..., Scene
     mujoco.mj_forward(model, data)
     skin = skin_in_world(model, data)
     touchable = [
-        g for g in range(model.ngeom)
+        g
+        for g in range(model.ngeom)
         if model.geom_conaffinity[g] & 1 and model.body(model.geom_bodyid[g]).name.startswith("human_")
-    ]  # fmt: skip
+    ]
     felt = [Readings(model, name) for name in scene.regions]
     shells = np.concatenate([data.xpos[f.bone] + f.places @ data.xmat[f.bone].reshape(3, 3).T for f in felt])
     open_places, probed = [], 0
@@ -109,8 +110,6 @@ def skin_in_world(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     )
     return np.asarray(scene.skinvert).reshape(-1, 3)[: model.nskinvert].astype(np.float64)
 
-
-# Every shipped body builds, settles and lies well.
 
 PROTOCOL = load_protocol()
 QUICK = ("woman-old-light", "man-adult-heavy")

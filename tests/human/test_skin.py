@@ -15,19 +15,21 @@ import pytest
 from carecontact.errors import AssetError
 from carecontact.human import library
 from carecontact.human.body import Body
+from carecontact.human.library import load_body
 from carecontact.human.skeleton import body_name
 from carecontact.human.skin import TEXTURE_SIZE, Appearance, baked_texture, paint
 from carecontact.world.scene import Scene
+from tests.human.conftest import SOME_QUICK
 
 BODIES = resources.files("carecontact") / "assets" / "bodies"
 
 
 @pytest.fixture
-def skins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: Body) -> Path:
-    """Path of a body's texture, free to be damaged."""
+def skins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Path of man-adult's texture, free to be damaged."""
     folder = tmp_path / "assets" / "bodies"
     folder.mkdir(parents=True)
-    path = folder / f"{body.name}.skin.png"
+    path = folder / "man-adult.skin.png"
     with resources.as_file(BODIES / path.name) as source:
         shutil.copy(source, path)
     monkeypatch.setattr(library.resources, "files", lambda _: tmp_path)
@@ -53,26 +55,30 @@ def test_texture_loads_in_rgb(body: Body) -> None:
     assert 0.01 < on_cloth.mean() < 0.2
 
 
-def test_missing_texture_is_named(skins: Path, body: Body) -> None:
+SMALL = cv2.imencode(".png", np.zeros((64, 64, 3), np.uint8))[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("damage", "fault"),
+    [
+        (None, r".*run tools/bake_skin\.py"),
+        (b"", ""),
+        (b"no picture", ""),
+        (b"\x89PNG\r\n\x1a\n", ""),
+        (SMALL, ".* is not a 1024 x 1024 colour PNG"),
+    ],
+)
+def test_a_missing_or_broken_texture_is_named(skins: Path, damage: bytes | None, fault: str) -> None:
     skins.unlink()
-    with pytest.raises(AssetError, match=rf"skin of body {body.name}: .*run tools/bake_skin\.py"):
-        baked_texture(body.name)
+    if damage is not None:
+        skins.write_bytes(damage)
+    with pytest.raises(AssetError, match=f"skin of body man-adult: {fault}"):
+        baked_texture("man-adult")
 
 
-@pytest.mark.parametrize("damage", [b"", b"no picture", b"\x89PNG\r\n\x1a\n"])
-def test_broken_texture_is_named(skins: Path, body: Body, damage: bytes) -> None:
-    skins.write_bytes(damage)
-    with pytest.raises(AssetError, match=f"skin of body {body.name}: "):
-        baked_texture(body.name)
-
-
-def test_texture_of_another_size_is_named(skins: Path, body: Body) -> None:
-    cv2.imwrite(str(skins), np.zeros((64, 64, 3), np.uint8))
-    with pytest.raises(AssetError, match="is not a 1024 x 1024 colour PNG"):
-        baked_texture(body.name)
-
-
-def test_cloth_colour_changes_the_clothes_and_nothing_else(body: Body) -> None:
+@pytest.mark.parametrize("name", SOME_QUICK)
+def test_cloth_colour_changes_the_clothes_and_nothing_else(name: str) -> None:
+    body = load_body(name)
     plain, red = paint(body, Appearance()), paint(body, Appearance(cloth=(200, 20, 20)))
     changed = (plain != red).any(-1)
     assert 0.01 < changed.mean() < 0.2

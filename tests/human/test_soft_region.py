@@ -32,7 +32,7 @@ from carecontact.tissue.plugin import Mesh
 from carecontact.world.scene import build_scene, region_shell
 
 PROTOCOL = load_protocol()
-TOOL = Indenter(shape="cap")
+ROWS, TOOL = PROTOCOL.person.tissue, Indenter(shape="cap")
 
 
 def bench(region: str, tissue: Tissue, body: str = PROTOCOL.person.body) -> Bench:
@@ -61,7 +61,7 @@ def depths_of_core(made: Bench) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("region", STANDARD_REGIONS)
 def test_core_lies_at_the_measured_depth(region: str) -> None:
     """The tool meets bone where the tissue is used up, neither sooner nor later, all over the reachable patch."""
-    tissue = PROTOCOL.person.tissue[region]
+    tissue = ROWS[region]
     depths, room = depths_of_core(bench(region, tissue))
     wanted = np.minimum(tissue.thickness_m, room)
     assert np.isfinite(depths).all()
@@ -84,7 +84,7 @@ BRIDGED = pytest.mark.xfail(
     ],
 )
 def test_core_of_every_body(region: str, name: str) -> None:
-    tissue = PROTOCOL.person.tissue[region]
+    tissue = ROWS[region]
     depths, room = depths_of_core(bench(region, tissue, name))
     wanted = np.minimum(tissue.thickness_m, room)
     assert np.percentile(depths - wanted, 5) > (-0.003 if region == "upper_arm" else -0.001)
@@ -92,7 +92,7 @@ def test_core_of_every_body(region: str, name: str) -> None:
 
 
 def test_inner_surface_stops_before_the_axis() -> None:
-    shell = region_shell(load_body(PROTOCOL.person.body), "forearm", PROTOCOL.person.tissue["forearm"])
+    shell = region_shell(load_body(PROTOCOL.person.body), "forearm", ROWS["forearm"])
     deep = inner_surface(shell, 1.0)
     left = np.einsum("ij,ij->i", deep - shell.axis_points, shell.normals)
     np.testing.assert_allclose(left, CORE_MIN_RADIUS_M, atol=1e-9)
@@ -107,19 +107,17 @@ def gradient_energy(shell: Shell, w: np.ndarray) -> float:
         n = np.cross(b - a, c - a)
         area = np.linalg.norm(n) / 2
         n /= 2 * area
-        grad = (w[triangle[0]] * np.cross(n, c - b) + w[triangle[1]] * np.cross(n, a - c)
-                + w[triangle[2]] * np.cross(n, b - a)) / (2 * area)  # fmt: skip
+        grad = w[triangle] @ np.cross(n, [c - b, a - c, b - a]) / (2 * area)
         total += grad @ grad * area / 2
     return float(total)
 
 
 def test_edges_carry_the_surface_gradients_energy() -> None:
     """Coupling and membrane are these weights times the squared differences of neighbours."""
-    shell = region_shell(load_body(PROTOCOL.person.body), "abdomen", PROTOCOL.person.tissue["abdomen"])
-    mesh = Mesh(
-        places=shell.vertices, inward=-shell.normals, along=shell.frame[:, 0], triangles=shell.triangles,
-        areas=shell.area, cells=np.zeros(len(shell.triangles), np.int64),
-    )  # fmt: skip
+    shell = region_shell(load_body(PROTOCOL.person.body), "abdomen", ROWS["abdomen"])
+    cells, along = np.zeros(len(shell.triangles), np.int64), shell.frame[:, 0]
+    surface = {"places": shell.vertices, "inward": -shell.normals, "triangles": shell.triangles, "areas": shell.area}
+    mesh = Mesh(**surface, along=along, cells=cells)
     u = (shell.grid - shell.grid.mean(0)) / np.ptp(shell.grid, axis=0)
     w = 0.004 * np.cos(np.pi * u[:, 0]) * np.cos(np.pi * u[:, 1])
     edges, weights = mesh.edges
@@ -130,7 +128,7 @@ def test_edges_carry_the_surface_gradients_energy() -> None:
 
 def test_coupling_spreads_a_light_touch() -> None:
     """More anchors carry the load, so that the same depth takes more force."""
-    plain = PROTOCOL.person.tissue["forearm"].model_copy(update={"coupling_length_m": 0.0, "membrane_n_m": 0.0})
+    plain = ROWS["forearm"].model_copy(update={"coupling_length_m": 0.0, "membrane_n_m": 0.0})
     depth = np.array([0.003])
     alone = bench("forearm", plain).response(depth, speed_m_s=0.01)
     spread = bench("forearm", plain.model_copy(update={"coupling_length_m": 0.005})).response(depth, speed_m_s=0.01)
@@ -139,13 +137,11 @@ def test_coupling_spreads_a_light_touch() -> None:
 
 def glide_after_leaning_press(region: str, membrane_n_m: float) -> tuple[float, float]:
     """How far the skin glides under a ball that presses at 30 degrees, and the most by which neighbours differ [m]."""
-    tissue = PROTOCOL.person.tissue[region].model_copy(update={"membrane_n_m": membrane_n_m})
-    made = Bench(
-        body=load_body(PROTOCOL.person.body), region=region, tissue=tissue,
-        indenter=Indenter(shape="hemisphere", size_m=0.010),
-    )  # fmt: skip
+    tissue = ROWS[region].model_copy(update={"membrane_n_m": membrane_n_m})
+    body, ball = load_body(PROTOCOL.person.body), Indenter(shape="hemisphere", size_m=0.010)
+    made = Bench(body=body, region=region, tissue=tissue, indenter=ball)
     made.press(depth_m=0.008, speed_m_s=0.02, tilt_deg=30.0)
-    glide = made.displacement()[:, 1:]
+    glide = made.felt.displacement(made.data)[:, 1:]
     pairs = np.sort(np.concatenate([np.roll(made.shell.triangles, -k, axis=1)[:, :2] for k in range(3)]), axis=1)
     apart = np.linalg.norm(glide[pairs[:, 0]] - glide[pairs[:, 1]], axis=1)
     return float(np.linalg.norm(glide, axis=1).max()), float(apart.max())
@@ -153,14 +149,14 @@ def glide_after_leaning_press(region: str, membrane_n_m: float) -> tuple[float, 
 
 def test_the_membrane_takes_neighbours_along() -> None:
     alone, folded = glide_after_leaning_press("abdomen", 0.0)
-    together, smooth = glide_after_leaning_press("abdomen", PROTOCOL.person.tissue["abdomen"].membrane_n_m)
+    together, smooth = glide_after_leaning_press("abdomen", ROWS["abdomen"].membrane_n_m)
     assert smooth < 0.6 * folded
     assert together < alone
 
 
 @pytest.mark.parametrize("region", STANDARD_REGIONS)
 def test_declared_cells_tile_the_fine_part(region: str) -> None:
-    shell = region_shell(load_body(PROTOCOL.person.body), region, PROTOCOL.person.tissue[region])
+    shell = region_shell(load_body(PROTOCOL.person.body), region, ROWS[region])
     cells = DeclaredCells.of(shell, limb=region != "abdomen")
     corners = shell.vertices[shell.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
@@ -176,11 +172,6 @@ def test_measured_depth_is_how_deep_the_references_presses_move_anchors(referenc
     made = Bench(body=load_body("man-adult"), region=reference.region, tissue=tissue, indenter=reference.indenter)
     press = made.press(depth_m=float(reference.depth_m[-1]), speed_m_s=0.01)
     assert press.anchor_m.max() == pytest.approx(tissue.measured_depth_m, rel=0.05)
-
-
-# Tissue by build: thickness and law of slim and heavy bodies follow from a row that is of man-adult.
-
-ROWS = load_protocol().person.tissue
 
 
 @pytest.mark.parametrize("region", STANDARD_REGIONS)
@@ -232,16 +223,13 @@ def test_the_world_has_the_tissue_of_its_body() -> None:
         assert region.tissue.thickness_m > rules.person.tissue[name].thickness_m
 
 
-# How much people's tissue differs: the published percentiles, as a seed draws them.
-
-ROWS_SPREAD = load_protocol().person.tissue
 FEW, MANY = 40, 4000
 
 
 def factors(count: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(5)
-    drawn = [draw_tissue(rng, ROWS_SPREAD) for _ in range(count)]
-    return {name: np.array([row[name].a_n_m3 for row in drawn]) / ROWS_SPREAD[name].a_n_m3 for name in drawn[0]}
+    drawn = [draw_tissue(rng, ROWS) for _ in range(count)]
+    return {name: np.array([row[name].a_n_m3 for row in drawn]) / ROWS[name].a_n_m3 for name in drawn[0]}
 
 
 @pytest.mark.parametrize("reference", [FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN], ids=lambda r: r.region)
@@ -267,11 +255,9 @@ def test_every_draw_can_be_a_row_of_tissue() -> None:
         assert spread.factor(0.0) == 1.0
     rng = np.random.default_rng(0)
     for _ in range(FEW):
-        for row in draw_tissue(rng, ROWS_SPREAD).values():
+        for row in draw_tissue(rng, ROWS).values():
             Tissue.model_validate(row.model_dump())
 
 
 def test_a_region_without_published_spread_keeps_its_tissue() -> None:
-    assert "right_hand" not in draw_tissue(
-        np.random.default_rng(0), {**ROWS_SPREAD, "right_hand": ROWS_SPREAD["forearm"]}
-    )
+    assert "right_hand" not in draw_tissue(np.random.default_rng(0), {**ROWS, "right_hand": ROWS["forearm"]})

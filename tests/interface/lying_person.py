@@ -65,9 +65,13 @@ class Person:
         out = np.tile([0.0, 0.0, 0.9], (33, 1))
         side = np.array([0, 0.1, 0])
         for index, place in {
-            11: self.neck - 2 * side, 12: self.shoulder, 14: self.elbow, 16: self.wrist,
-            23: self.hips - side, 24: self.hips + side,
-        }.items():  # fmt: skip
+            11: self.neck - 2 * side,
+            12: self.shoulder,
+            14: self.elbow,
+            16: self.wrist,
+            23: self.hips - side,
+            24: self.hips + side,
+        }.items():
             in_camera = CAMERA[:3, :3].T @ (place - CAMERA[:3, 3])
             out[index, :2] = (INTRINSICS @ in_camera)[:2] / in_camera[2]
         return out.astype(np.float32)

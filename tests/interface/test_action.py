@@ -56,7 +56,7 @@ def test_a_gripper_opening_is_a_share(bad: float) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("bad", [pose(1e308, 0.0, 0.3), pose(*INSIDE, quat=(1e308, 0, 1e308, 0))])
-def test_numbers_that_overflow_are_told_without_a_warning(bad: np.ndarray) -> None:
+def test_numbers_that_overflow_are_refused_without_a_warning(bad: np.ndarray) -> None:
     with pytest.raises(ActionError, match=r"inside the workspace|quaternion of norm"):
         check_action(Action(pose_tcp_in_base=bad), BOUNDS)
 
@@ -139,7 +139,7 @@ def test_a_small_difference_inside_the_workspace_is_named_by_its_missing_rotatio
 
 
 @pytest.mark.parametrize(("bad", "hint"), [(-1.0, r": of a range from -1 to 1 send \(1 \+ g\) / 2, or "), (2.0, "$")])
-def test_a_gripper_outside_its_range_is_told_what_the_numbers_mean(bad: float, hint: str) -> None:
+def test_a_gripper_outside_its_range_is_refused_with_what_the_numbers_mean(bad: float, hint: str) -> None:
     with pytest.raises(ActionError, match=rf"got {bad}; 1 is open and 0 is closed{hint}"):
         check_action(Action(gripper=bad), BOUNDS)
 

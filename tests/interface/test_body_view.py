@@ -93,7 +93,7 @@ def test_key_points_beside_the_limb_are_moved_onto_it(observation: Observation, 
         region_from_observation(change_view(observation, landmarks_in_base=lost), "forearm")
 
 
-def test_nobody_there() -> None:
+def test_no_person_there() -> None:
     with pytest.raises(PerceptionFailure, match="nobody was found"):
         region_from_observation(observe(None), "forearm")
 

@@ -19,13 +19,10 @@ from carecontact.interface.robot import EMBODIMENTS, PANDA, Robot, Session
 from carecontact.protocol.load import load_levels, load_protocol, shipped_protocols
 from carecontact.world.robot import arrays_of
 
-VISIBLE = {
-    "instruction", "sim_time_s", "joint_position", "joint_velocity", "gripper_position", "pose_tcp_in_base", "cameras",
-}  # fmt: skip
-VISIBLE_IN_A_CAMERA = {
-    "intrinsics", "pose_camera_in_base", "rgb", "depth", "points", "point_colors", "masks", "landmarks",
-    "landmarks_in_base",
-}  # fmt: skip
+VISIBLE = set("instruction sim_time_s joint_position joint_velocity gripper_position pose_tcp_in_base cameras".split())
+VISIBLE_IN_A_CAMERA = set(
+    "intrinsics pose_camera_in_base rgb depth points point_colors masks landmarks landmarks_in_base".split()
+)
 
 
 def view(**kwargs: np.ndarray) -> CameraView:
@@ -34,9 +31,13 @@ def view(**kwargs: np.ndarray) -> CameraView:
 
 def observation() -> Observation:
     return Observation(
-        instruction="touch", sim_time_s=0.0, joint_position=np.zeros(7), joint_velocity=np.zeros(7),
-        gripper_position=np.zeros(1), pose_tcp_in_base=np.array([0, 0, 0, 1.0, 0, 0, 0]),
-    )  # fmt: skip
+        instruction="touch",
+        sim_time_s=0.0,
+        joint_position=np.zeros(7),
+        joint_velocity=np.zeros(7),
+        gripper_position=np.zeros(1),
+        pose_tcp_in_base=np.array([0, 0, 0, 1.0, 0, 0, 0]),
+    )
 
 
 def test_nothing_but_the_allowed_fields() -> None:
@@ -165,8 +166,8 @@ def test_a_card_at_its_defaults_is_written_as_it_always_was() -> None:
 
 def test_a_session_says_nothing_about_the_trial() -> None:
     assert {f.name for f in fields(Session)} == {
-        "action_bounds", "joint_low_rad", "joint_high_rad", "camera_sizes_px", "time_limit_s",
-    }  # fmt: skip
+        *("action_bounds", "joint_low_rad", "joint_high_rad", "camera_sizes_px", "time_limit_s")
+    }
 
 
 def test_a_policy_is_whatever_has_card_reset_and_act() -> None:
@@ -236,19 +237,29 @@ def test_a_malformed_address_is_refused_without_its_password(text: str, says: st
     ("text", "shown", "scheme", "path", "options"),
     [
         (
-            "openpi://gpu:8000?horizon=5&profile=pi05-droid", "openpi://gpu:8000?profile=pi05-droid&horizon=5",
-            "openpi", "/", {"profile": "pi05-droid", "horizon": "5"},
+            "openpi://gpu:8000?horizon=5&profile=pi05-droid",
+            "openpi://gpu:8000?profile=pi05-droid&horizon=5",
+            "openpi",
+            "/",
+            {"profile": "pi05-droid", "horizon": "5"},
         ),
         (
             "roboarena://[fe80::1]:8091/v1/realtime/robot/openpi?exterior=0",
             "roboarena://[fe80::1]:8091/v1/realtime/robot/openpi?exterior=0",
-            "roboarena", "/v1/realtime/robot/openpi", {"exterior": "0"},
+            "roboarena",
+            "/v1/realtime/robot/openpi",
+            {"exterior": "0"},
         ),
         ("vla-eval://gpu:8000/", "vla-eval://gpu:8000", "vla-eval", "/", {}),
-        ("vla-eval://gpu:8000?space=joint_position", "vla-eval://gpu:8000?space=joint_position", "vla-eval", "/",
-         {"space": "joint_position"}),
+        (
+            "vla-eval://gpu:8000?space=joint_position",
+            "vla-eval://gpu:8000?space=joint_position",
+            "vla-eval",
+            "/",
+            {"space": "joint_position"},
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_address_of_a_dialect_has_a_path_and_options(
     text: str, shown: str, scheme: str, path: str, options: dict[str, str]
 ) -> None:

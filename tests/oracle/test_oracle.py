@@ -81,8 +81,6 @@ def test_a_region_that_it_does_not_know_ends_the_trial_untouched(simulation: Sim
     assert "left_shank" in str(oracle.take_notes()["ended_without_touching"])
 
 
-# Whole trials of the oracle, and who may not have its privilege.
-
 ALIVE = Alive(breathing=Breathing(abdomen_m=(0.015, 0.015)), repositioning=Repositioning(), withdrawal=Withdrawal())
 
 
@@ -93,7 +91,7 @@ def test_it_feels_the_force_with_the_steps_of_the_fast_mode_too() -> None:
     assert score_recording(recording).safety_gated
 
 
-@pytest.mark.parametrize("task", ["T2", "T7"])
+@pytest.mark.parametrize("task", ["T2", pytest.param("T7", marks=pytest.mark.slow)])
 def test_it_does_the_task_on_a_person_who_breathes_and_moves(task: str, tmp_path: Path) -> None:
     moved = load_protocol("bathing-wide-v2-draft", level="L1")
     protocol = moved.model_copy(update={"person": moved.person.model_copy(update={"alive": ALIVE})})
@@ -256,7 +254,7 @@ def run(skin: Any, *, rests: bool) -> tuple[Press, int]:
 
 
 @pytest.mark.parametrize("lost_n", [0.0, 20.0])
-def test_a_touch_begins_anew_when_the_person_takes_the_skin_away_or_brings_it_up(lost_n: float) -> None:
+def test_a_touch_begins_again_when_the_person_takes_the_skin_away_or_brings_it_up(lost_n: float) -> None:
     steady = round(STEADY_S * CONTROL_HZ)
     held = [3.0] * (steady - 4)
     press, count = run(Skin([*held, lost_n, *held, lost_n, 3.0]), rests=True)

@@ -8,76 +8,43 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carecontact.errors import ConfigError, ContractError
+from carecontact.interface.action import Action
 from carecontact.interface.action_spaces import check_action
 from carecontact.interface.geometry import matrix_from_quat
-from carecontact.interface.observation import CameraView
+from carecontact.interface.observation import Observation
 from carecontact.policies.blind import HEIGHT_M, HOLD_S, WAIT_S, FeintAndWait, Hover, RandomTargets
-from carecontact.policies.motion import ROTATION_SPEED_RAD_S, Leg, sample, slerp, tool_quat
+from carecontact.policies.motion import CONTROL_HZ, ROTATION_SPEED_RAD_S, Leg, sample, slerp, tool_quat
 from carecontact.policies.state_machine import StateMachine
+from tests.interface.lying_person import LIMB_RADIUS, Person, observe
 from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation, synthetic_view
 
-RADIUS, TOP, MIDDLE = 0.04, 0.08, np.array([0.40, -0.05])
-ELBOW_X, WRIST_X = 0.27, 0.53
 
-
-def _forearm_from_above() -> CameraView:
-    """A half cylinder along x on a bed at z = 0, seen by a camera 1 m above the bed."""
-    width, height, focal = 200, 140, 250.0
-    pose = np.eye(4)
-    pose[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    pose[:3, 3] = [*MIDDLE, 1.0]
-    u, v = np.meshgrid(np.arange(width) - width / 2, np.arange(height) - height / 2)
-    z = np.zeros((height, width))
-    for _ in range(30):
-        x, y = MIDDLE[0] + u * (1 - z) / focal, MIDDLE[1] - v * (1 - z) / focal
-        across = RADIUS**2 - (y - MIDDLE[1]) ** 2
-        on_arm = (across > 0) & (x > ELBOW_X) & (x < WRIST_X)
-        z = np.where(on_arm, TOP - RADIUS + np.sqrt(np.maximum(across, 0)), 0.0)
-    landmarks = np.zeros((33, 3), np.float32)
-    landmarks[:, 2] = 1
-    surface = np.full((33, 3), np.nan, np.float32)
-    surface[14], surface[16] = [ELBOW_X, MIDDLE[1], TOP], [WRIST_X, MIDDLE[1], TOP]
-    return CameraView(
-        intrinsics=np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]),
-        pose_camera_in_base=pose,
-        depth=(1.0 - z).astype(np.float32),
-        points=np.stack([x, y, z], -1).reshape(-1, 3).astype(np.float32),
-        point_colors=np.zeros((width * height, 3), np.uint8),
-        masks={
-            "human": on_arm,
-            "robot": np.zeros_like(on_arm),
-            "bed": ~on_arm,
-            "background": np.zeros_like(on_arm),
-        },
-        landmarks=landmarks,
-        landmarks_in_base=surface,
-    )
+def over_the_forearm(person: Person) -> np.ndarray:
+    return (person.elbow + person.wrist) / 2 + [0.0, 0.0, LIMB_RADIUS + HEIGHT_M]
 
 
 @pytest.mark.parametrize("verb", ["push", "tap"])
-def test_hover_waits_over_the_region_and_never_comes_nearer(verb: str) -> None:
+def test_hover_waits_over_the_region_and_never_comes_nearer(
+    verb: str, person: Person, observation: Observation
+) -> None:
     """Whatever the action is, also one of another package."""
     policy = Hover()
     policy.reset(f"{verb} the right forearm")
-    actions = policy.act(synthetic_observation(cameras={"overhead": _forearm_from_above()}))
+    actions = policy.act(observation)
     poses = np.array([check_action(action, BOUNDS).pose_tcp_in_base for action in actions])
     assert [action.done for action in actions] == [False] * (len(actions) - 1) + [True]
-    goal = np.array([*MIDDLE, TOP + HEIGHT_M])
-    waiting = np.linalg.norm(poses[:, :3] - goal, axis=1) < 0.01
+    waiting = np.linalg.norm(poses[:, :3] - over_the_forearm(person), axis=1) < 0.01
     assert waiting.sum() / policy.card.control_hz == pytest.approx(HOLD_S, abs=1.5)
     assert np.ptp(poses[waiting][10:-10, :3], axis=0).max() == pytest.approx(0, abs=0.01)
-    assert poses[:, 2].min() > TOP + HEIGHT_M - 0.01
+    assert person.clearance(poses[:, :3]).min() > HEIGHT_M - 0.01
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) * policy.card.control_hz
     assert steps.max() <= 0.25 + 1e-9
 
 
-def test_hover_that_finds_nobody_ends_where_it_is() -> None:
+def test_hover_that_finds_no_person_ends_where_it_is() -> None:
     policy = Hover()
     policy.reset("gently touch the right upper arm")
-    view = dataclasses.replace(_forearm_from_above(), landmarks=np.full((33, 3), np.nan, np.float32))
-    (action,) = policy.act(synthetic_observation(cameras={"overhead": view}))
-    assert action.done
-    assert action.pose_tcp_in_base is None
+    assert policy.act(observe(None)) == [Action(done=True)]
 
 
 def targets(instruction: str, *, seed: int = 0) -> np.ndarray:
@@ -114,17 +81,15 @@ def test_needs_what_its_card_asks_for() -> None:
 PROMPT = "gently touch the right forearm"
 
 
-def test_it_comes_near_goes_back_waits_and_then_acts_as_its_base() -> None:
-    policy, base = FeintAndWait(), StateMachine()
-    seen = synthetic_observation(cameras={"overhead": _forearm_from_above()})
+def test_it_comes_near_goes_back_waits_and_then_acts_as_its_base(person: Person, observation: Observation) -> None:
+    policy, base, seen = FeintAndWait(), StateMachine(), observation
     for each in (policy, base):
         each.configure(SESSION)
         each.reset(PROMPT)
     feint = policy.act(seen)
     assert not any(action.done for action in feint)
     poses = np.array([check_action(a, BOUNDS).pose_tcp_in_base for a in feint if a.pose_tcp_in_base is not None])
-    over = np.array([*MIDDLE, TOP + HEIGHT_M])
-    assert np.linalg.norm(poses[:, :3] - over, axis=1).min() < 0.01
+    assert np.linalg.norm(poses[:, :3] - over_the_forearm(person), axis=1).min() < 0.01
     assert poses[-1, :3] == pytest.approx(seen.pose_tcp_in_base[:3])
     assert abs(poses[-1, 3:] @ seen.pose_tcp_in_base[3:]) == pytest.approx(1)
     assert len(feint) - len(poses) == WAIT_S * policy.card.control_hz
@@ -134,23 +99,20 @@ def test_it_comes_near_goes_back_waits_and_then_acts_as_its_base() -> None:
     assert policy.take_notes()["chosen"] == base.take_notes()["chosen"]
 
 
-def test_a_second_trial_begins_with_a_feint_again() -> None:
-    policy = FeintAndWait()
-    seen = synthetic_observation(cameras={"overhead": _forearm_from_above()})
-    first = []
+def test_a_second_trial_begins_with_a_feint_again(observation: Observation) -> None:
+    policy, first = FeintAndWait(), []
     for _ in range(2):
         policy.reset(PROMPT)
-        first.append(len(policy.act(seen)))
+        first.append(len(policy.act(observation)))
     assert first[0] == first[1]
 
 
-@pytest.mark.parametrize("base", ["oracle", "feint-and-wait", "nobody", "random"])
+@pytest.mark.parametrize("base", ["oracle", "feint-and-wait", "unknown", "random"])
 def test_what_cannot_act_afterwards_is_refused(base: str) -> None:
     with pytest.raises(ConfigError, match=f"base: .*{base}"):
         FeintAndWait(base=base)
 
 
-HZ = 20.0
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 
 
@@ -164,11 +126,9 @@ def test_sampled_motion_keeps_its_speed_and_arrives(
 ) -> None:
     start = np.array([0.0, 0.0, 0.0, *DOWN])
     quat = slerp(DOWN, np.array([0.0, 0.0, 1.0, 0.0]), angle / np.pi)
-    poses = np.array(
-        [start, *sample([Leg(points=np.array([goal]), quat_wxyz=quat, speed_m_s=speed)], start, control_hz=HZ)]
-    )
-    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) * HZ
-    turns = 2 * np.arccos(np.clip(np.abs((poses[1:, 3:] * poses[:-1, 3:]).sum(1)), 0, 1)) * HZ
+    poses = np.array([start, *sample([Leg(points=np.array([goal]), quat_wxyz=quat, speed_m_s=speed)], start)])
+    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) * CONTROL_HZ
+    turns = 2 * np.arccos(np.clip(np.abs((poses[1:, 3:] * poses[:-1, 3:]).sum(1)), 0, 1)) * CONTROL_HZ
     assert (steps <= speed * (1 + 1e-9)).all()
     assert (turns <= ROTATION_SPEED_RAD_S + 1e-3).all()
     if len(poses) > 1:
@@ -180,7 +140,7 @@ def test_sampled_motion_keeps_its_speed_and_arrives(
 def test_a_hold_lasts_as_long_as_it_says() -> None:
     start = np.array([0.0, 0.0, 0.0, *DOWN])
     leg = Leg(points=np.array([[0.0, 0, 0.1]]), quat_wxyz=DOWN, speed_m_s=0.1, hold_s=1.5)
-    poses = np.array(list(sample([leg], start, control_hz=HZ)))
+    poses = np.array(list(sample([leg], start)))
     assert (poses[:, 2] == 0.1).sum() == 1 + 30
 
 

@@ -13,6 +13,7 @@ from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.interface.action import Action
 from carecontact.interface.observation import CameraView
 from carecontact.interface.policy import PolicyRef
+from carecontact.policies.blind import ZeroAction
 from carecontact.policies.registry import POLICIES, PolicyRow, is_privileged, policy_target, role_of
 from carecontact.policies.state_machine import StateMachine
 from carecontact.protocol.load import load_protocol
@@ -27,7 +28,7 @@ from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_v
 
 
 def _blind(view: CameraView, modalities: tuple[str, ...]) -> CameraView:
-    """Only what was asked for, and nobody in it."""
+    """Only the requested modalities, and no person in view."""
     return CameraView(
         intrinsics=view.intrinsics,
         pose_camera_in_base=view.pose_camera_in_base,
@@ -56,7 +57,7 @@ def test_every_registered_policy_keeps_the_contract(name: str) -> None:
         view = _blind(synthetic_view(), card.modalities)
         reply = process.act(synthetic_observation(cameras=dict.fromkeys(card.cameras, view)))
     assert reply.actions
-    # Who looks for a person and sees nobody stays where it is.
+    # A policy that looks for a person and sees none stays in place.
     if "landmarks" in card.modalities:
         assert all(action.pose_tcp_in_base is None for action in reply.actions)
 
@@ -67,9 +68,8 @@ def test_every_registered_policy_takes_the_arguments_that_it_lists_and_no_other(
     factory = load_factory(POLICIES[name].target)
     parameters = parameters_of(factory)
     assert not [parameter.name for parameter in parameters if parameter.required]
-    assert {str(parameter).partition(": ")[2].split()[0] for parameter in parameters} <= {
-        "int", "float", "bool", "str", "Path"
-    }  # fmt: skip
+    types = {str(parameter).partition(": ")[2].split()[0] for parameter in parameters}
+    assert types <= {"int", "float", "bool", "str", "Path"}
     takes_language = {"language", "record"} <= {parameter.name for parameter in parameters}
     assert takes_language == bool(POLICIES[name].languages)
     assert bind(factory, {}) == {}
@@ -78,12 +78,9 @@ def test_every_registered_policy_takes_the_arguments_that_it_lists_and_no_other(
 
 
 def test_zero_action_never_ends_and_never_moves() -> None:
-    with PolicyProcess(PolicySetup.of("zero-action"), first_deadline_s=20, deadline_s=20) as process:
-        card = process.start()
-        assert (card.modalities, card.cameras) == ((), ())
-        process.reset("scrub the abdomen", SESSION)
-        actions = process.act(synthetic_observation()).actions
-    assert len(actions) / card.control_hz >= SESSION.time_limit_s
+    assert (ZeroAction.card.modalities, ZeroAction.card.cameras) == ((), ())
+    actions = ZeroAction().act(synthetic_observation())
+    assert len(actions) / ZeroAction.card.control_hz >= SESSION.time_limit_s
     assert all(a.pose_tcp_in_base is None and a.stiffness is None and not a.done for a in actions)
 
 
@@ -122,11 +119,8 @@ def test_another_packages_row_is_never_privileged(monkeypatch: pytest.MonkeyPatc
 
 
 def test_who_has_no_row_is_a_method() -> None:
-    roles = {name: role_of(name) for name in ("state-machine", "hover", "oracle", "my.own:Policy", "ws://h:1")}
-    assert roles == {
-        "state-machine": "method", "hover": "blind", "oracle": "privileged", "my.own:Policy": "method",
-        "ws://h:1": "method",
-    }  # fmt: skip
+    assert (role_of("state-machine"), role_of("hover"), role_of("oracle")) == ("method", "blind", "privileged")
+    assert role_of("my.own:Policy") == role_of("ws://h:1") == "method"
 
 
 ROOT = Path(__file__).parents[2]
@@ -147,14 +141,11 @@ def test_the_own_loop_makes_the_recording_of_a_trial(monkeypatch: pytest.MonkeyP
     assert canonical_hash(mine) == canonical_hash(trial)
 
 
-def test_my_policy_raises_the_tool_and_ends() -> None:
-    observation = synthetic_observation()
-    with PolicyProcess(
-        PolicySetup.of("my_policy:MyPolicy", search_path=[str(EXAMPLES)]), first_deadline_s=20, deadline_s=20
-    ) as process:
-        process.start()
-        process.reset("gently touch the right forearm", SESSION)
-        *moves, end = process.act(observation).actions
+def test_my_policy_raises_the_tool_and_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    policy, observation = importlib.import_module("my_policy").MyPolicy(), synthetic_observation()
+    policy.reset("gently touch the right forearm")
+    *moves, end = policy.act(observation)
     rise = np.array([move.pose_tcp_in_base for move in moves]) - observation.pose_tcp_in_base
     np.testing.assert_allclose(rise[:, 2], 0.005 * np.arange(1, 11), atol=1e-12)
     np.testing.assert_allclose(np.delete(rise, 2, axis=1), 0, atol=1e-12)

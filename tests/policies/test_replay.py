@@ -21,9 +21,11 @@ PROTOCOL = load_protocol()
 def test_every_task_was_recorded_and_its_actions_are_allowed(task) -> None:
     limits = PROTOCOL.impedance
     bounds = ActionBounds(
-        workspace_low_m=limits.workspace_low_m, workspace_high_m=limits.workspace_high_m,
-        translational_stiffness=limits.translational_bounds, rotational_stiffness=limits.rotational_bounds,
-    )  # fmt: skip
+        workspace_low_m=limits.workspace_low_m,
+        workspace_high_m=limits.workspace_high_m,
+        translational_stiffness=limits.translational_bounds,
+        rotational_stiffness=limits.rotational_bounds,
+    )
     policy = Replay()
     policy.reset(task.prompt)
     actions = [check_action(action, bounds) for action in policy.act(synthetic_observation())]
@@ -60,9 +62,9 @@ def test_registered_actions_keep_their_place_before_the_camera() -> None:
     def in_picture(pose_camera: np.ndarray) -> np.ndarray:
         view = replace(synthetic_view(), pose_camera_in_base=pose_camera)
         actions = policy.act(synthetic_observation(cameras={"overhead": view}))
-        poses = [pose_matrix(a.pose_tcp_in_base[:3], a.pose_tcp_in_base[3:]) for a in actions]
-        return np.array([(np.linalg.inv(pose_camera) @ pose)[:3, :3] @ tip
-                         + (np.linalg.inv(pose_camera) @ pose)[:3, 3] for pose in poses])  # fmt: skip
+        poses = np.array([pose_matrix(a.pose_tcp_in_base[:3], a.pose_tcp_in_base[3:]) for a in actions])
+        seen = np.linalg.inv(pose_camera) @ poses
+        return seen[:, :3, :3] @ tip + seen[:, :3, 3]
 
     here, there = donor.pose_camera_in_base, elsewhere @ donor.pose_camera_in_base
     assert np.allclose(in_picture(here), in_picture(there), atol=1e-9)

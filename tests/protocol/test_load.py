@@ -23,8 +23,9 @@ from tests.scoring.synthetic import GATES
 TEXT = (resources.files(protocol) / f"{DEFAULT_PROTOCOL}.toml").read_text(encoding="utf-8")
 
 
-def written(folder: Path, text: str) -> str:
-    path = folder / "mine.toml"
+def written(folder: Path, text: str, name: str = "mine.toml") -> str:
+    path = folder / name
+    path.parent.mkdir(exist_ok=True)
     path.write_text(text, encoding="utf-8")
     return str(path)
 
@@ -62,7 +63,7 @@ def test_a_file_without_its_ending_is_found(tmp_path: Path) -> None:
 HEAD = 'id = "mine"\ndescription = "x"\n'
 
 
-def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Path) -> None:
+def test_a_file_without_base_and_most_fields_gets_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_protocol(written(tmp_path, HEAD + "frozen = false\n"))
     assert str(caught.value).endswith(
@@ -72,7 +73,7 @@ def test_a_file_without_base_and_most_fields_is_told_so_in_one_line(tmp_path: Pa
     )
 
 
-def test_two_fields_that_a_file_leaves_out_share_a_line_and_one_is_told_alone(tmp_path: Path) -> None:
+def test_two_fields_that_a_file_leaves_out_share_a_line_and_one_stands_alone(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"mine\.toml: add base = .* 2 are missing: id, description$"):
         load_protocol(written(tmp_path, TEXT.replace("id = ", "# ", 1).replace("\ndescription = ", "\n# ", 1)))
     with pytest.raises(ConfigError, match=r"mine\.toml: description: missing; give it a value$"):
@@ -161,14 +162,14 @@ def test_hash_changes_with_a_prompt(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("claimed", "told"),
+    ("claimed", "message"),
     [
         ('overrides = {"person.body" = "man-old-light"}', "overrides are written by a command"),
         ('level = "L1"', r"a file has the tables \[levels\.NAME\], and who loads it chooses one"),
     ],
 )
-def test_a_file_does_not_claim_what_a_command_decides(claimed: str, told: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_a_file_does_not_claim_what_a_command_decides(claimed: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=message):
         load_protocol(written(tmp_path, f"{claimed}\n{TEXT}"))
 
 
@@ -195,21 +196,14 @@ EXAM = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0
 INHERIT_HEAD = 'base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
-def written_with_base(folder: Path, text: str, name: str = "mine.toml") -> str:
-    path = folder / name
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(text)
-    return str(path)
-
-
 def test_a_file_that_says_nothing_else_is_its_base_under_another_name(tmp_path: Path) -> None:
-    mine = load_protocol(written_with_base(tmp_path, INHERIT_HEAD))
+    mine = load_protocol(written(tmp_path, INHERIT_HEAD))
     assert mine == BASE.model_copy(update={"id": "mine-v1", "description": "Mine.", "frozen": False})
 
 
 def test_tables_are_merged_key_by_key(tmp_path: Path) -> None:
     mine = load_protocol(
-        written_with_base(tmp_path, f"{INHERIT_HEAD}gates.push.force_n = 4.0\n[cameras.overhead]\nwidth = 320\n")
+        written(tmp_path, f"{INHERIT_HEAD}gates.push.force_n = 4.0\n[cameras.overhead]\nwidth = 320\n")
     )
     assert mine.gates.of("push") == BASE.gates.of("push").model_copy(update={"force_n": 4.0})
     assert mine.gates.of("scrub") == BASE.gates.of("scrub")
@@ -218,7 +212,7 @@ def test_tables_are_merged_key_by_key(tmp_path: Path) -> None:
 
 def test_tasks_are_replaced_as_a_whole(tmp_path: Path) -> None:
     task = '[[tasks]]\nid = "A"\nname = "Push it"\naction = "push"\nregion = "upper_arm"\nprompt = "push it"\n'
-    assert [t.id for t in load_protocol(written_with_base(tmp_path, INHERIT_HEAD + task)).tasks] == ["A"]
+    assert [t.id for t in load_protocol(written(tmp_path, INHERIT_HEAD + task)).tasks] == ["A"]
 
 
 def test_a_shipped_protocol_in_a_few_lines(tmp_path: Path) -> None:
@@ -232,25 +226,25 @@ def test_a_shipped_protocol_in_a_few_lines(tmp_path: Path) -> None:
         "up = [0, 0, 1]\nfovy_deg = 71.5\nwidth = 640\nheight = 360\n"
         "[cameras.wrist]\nfovy_deg = 57.0\nwidth = 640\nheight = 360\n"
     )
-    mine = load_protocol(written_with_base(tmp_path, text))
+    mine = load_protocol(written(tmp_path, text))
     assert mine == droid
     assert mine.sha256 == droid.sha256
 
 
 def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:
-    first = load_protocol(written_with_base(tmp_path, f'{INHERIT_HEAD}[person]\ntissue_set = "manikin-like"\n'))
+    first = load_protocol(written(tmp_path, f'{INHERIT_HEAD}[person]\ntissue_set = "manikin-like"\n'))
     assert first.person.tissue == load_tissue_set("manikin-like").tissue
-    second = load_protocol(written_with_base(tmp_path, f"{INHERIT_HEAD}[person.tissue.forearm]\nfriction = 0.7\n"))
+    second = load_protocol(written(tmp_path, f"{INHERIT_HEAD}[person.tissue.forearm]\nfriction = 0.7\n"))
     own = BASE.person.tissue
     assert second.person.tissue == {**own, "forearm": own["forearm"].model_copy(update={"friction": 0.7})}
 
 
 def test_another_set_of_gates_inherits_none(tmp_path: Path) -> None:
-    found = load_protocol(str(written_with_base(tmp_path, INHERIT_HEAD + EXAM)))
+    found = load_protocol(written(tmp_path, INHERIT_HEAD + EXAM))
     assert found.gates == GATES
     short = INHERIT_HEAD + EXAM.replace("duration_s = 1.0", "", 1)
     with pytest.raises(ConfigError, match=r"gates\.touch\.duration_s: missing"):
-        load_protocol(str(written_with_base(tmp_path, short)))
+        load_protocol(written(tmp_path, short))
 
 
 def test_a_field_that_this_set_of_gates_does_not_have_lists_those_that_they_have(tmp_path: Path) -> None:
@@ -258,15 +252,15 @@ def test_a_field_that_this_set_of_gates_does_not_have_lists_those_that_they_have
     with pytest.raises(
         ConfigError, match=r"stroke_m: no such field in the table gates\.scrub; valid: least_n, most_n,"
     ):
-        load_protocol(str(written_with_base(tmp_path, text)))
+        load_protocol(written(tmp_path, text))
 
 
 def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) -> None:
-    written_with_base(
+    written(
         tmp_path, INHERIT_HEAD.replace("mine", "first") + "[gates.touch]\nduration_s = 0.7\n", name="sub/first.toml"
     )
     second = 'base = "sub/first.toml"\nid = "second-v1"\ndescription = "Second."\n[gates.push]\nduration_s = 2.0\n'
-    found = load_protocol(written_with_base(tmp_path, second))
+    found = load_protocol(written(tmp_path, second))
     assert found.gates.of("touch").duration_s == 0.7
     assert found.gates.of("push").duration_s == 2.0
     assert (found.id, found.scene) == ("second-v1", BASE.scene)
@@ -289,37 +283,29 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
 )
 def test_a_mistake_is_named_with_its_file(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises((ConfigError, UnknownNameError), match=message):
-        load_protocol(written_with_base(tmp_path, text))
+        load_protocol(written(tmp_path, text))
 
 
 def test_a_mistake_in_the_base_names_the_base(tmp_path: Path) -> None:
-    written_with_base(tmp_path, INHERIT_HEAD + "[physics]\ndt_s = -1\n", name="first.toml")
-    heir = written_with_base(tmp_path, 'base = "first.toml"\nid = "x"\ndescription = "x"\n[physics]\ndt_s = 0.002\n')
+    written(tmp_path, INHERIT_HEAD + "[physics]\ndt_s = -1\n", name="first.toml")
+    heir = written(tmp_path, 'base = "first.toml"\nid = "x"\ndescription = "x"\n[physics]\ndt_s = 0.002\n')
     with pytest.raises(ConfigError, match=r"first\.toml: physics\.dt_s"):
         load_protocol(heir)
 
 
-LEVELS_HEAD = 'base = "bathing-v3-draft"\nid = "mine"\ndescription = "mine"\n'
-
-
-def written_with_levels(tmp_path: Path, text: str) -> str:
-    (tmp_path / "mine.toml").write_text(LEVELS_HEAD + text)
-    return str(tmp_path / "mine.toml")
-
-
 def test_levels_add_up_and_are_named(tmp_path: Path) -> None:
     text = "[levels.A]\n[levels.B.variation]\nplace_along_m = 0.01\n[levels.C.variation]\nplace_across_m = 0.02\n"
-    found = load_levels(written_with_levels(tmp_path, text))
-    assert [rules.name for rules in found.values()] == ["mine A", "mine B", "mine C"]
+    found = load_levels(written(tmp_path, INHERIT_HEAD + text))
+    assert [rules.name for rules in found.values()] == ["mine-v1 A", "mine-v1 B", "mine-v1 C"]
     places = [(rules.variation.place_along_m, rules.variation.place_across_m) for rules in found.values()]
     assert places == [(0.0, 0.0), (0.01, 0.0), (0.01, 0.02)]
     assert len({rules.sha256 for rules in found.values()}) == 3
     assert all(list(rules.levels) == ["A", "B", "C"] for rules in found.values())
-    assert load_protocol(written_with_levels(tmp_path, text), level="C").title == "mine C"
+    assert load_protocol(written(tmp_path, INHERIT_HEAD + text), level="C").title == "mine-v1 C"
 
 
 @pytest.mark.parametrize(
-    ("text", "level", "told"),
+    ("text", "level", "message"),
     [
         ("[levels.A]\n[levels.B]\n", None, "has the levels A, B; choose one with level"),
         ("[levels.A]\n[levels.B]\n", "Bb", "no level named 'Bb'.*valid: A, B"),
@@ -329,9 +315,9 @@ def test_levels_add_up_and_are_named(tmp_path: Path) -> None:
         ("[levels]\nA = 1\n", "A", r"levels\.A: expected a table, got 1"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, text: str, level: str | None, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
-        load_protocol(written_with_levels(tmp_path, text), level=level)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, level: str | None, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_protocol(written(tmp_path, INHERIT_HEAD + text), level=level)
 
 
 def test_an_heir_has_the_levels_of_its_base(tmp_path: Path) -> None:
@@ -374,10 +360,16 @@ def test_what_is_written_reads_back_as_the_same_table(name: str) -> None:
 
 def test_odd_values_keep_their_type() -> None:
     table = {
-        "text": 'quotes " and \\ and \n', "flag": True, "none": [], "wide": "\U0001f916", "of key": 1,
-        "deep": {"er": {"x": 1.5}}, "list": [{"id": "a", "in": {"y": [1, 2]}}, {"id": "b"}], "empty": {},
+        "text": 'quotes " and \\ and \n',
+        "flag": True,
+        "none": [],
+        "wide": "\U0001f916",
+        "of key": 1,
+        "deep": {"er": {"x": 1.5}},
+        "list": [{"id": "a", "in": {"y": [1, 2]}}, {"id": "b"}],
+        "empty": {},
         "mixed": [{"a": 1}, 2],
-    }  # fmt: skip
+    }
     assert tomllib.loads(toml_text(table)) == table
     assert toml_text(table).count("[[list]]") == 2, "a list of tables has a head for each"
 

@@ -24,9 +24,11 @@ from carecontact.protocol.protocol import Protocol, protocol_title
 
 PROTOCOL = load_protocol()
 FOUR = {
-    "person.body": "woman-old-light", "person.tissue_set": "human-published", "physics.dt_s": "0.004",
+    "person.body": "woman-old-light",
+    "person.tissue_set": "human-published",
+    "physics.dt_s": "0.004",
     "impedance.translational_n_m": "200",
-}  # fmt: skip
+}
 SAM = {"vision.segmenter": "grounded-sam", "vision.weights_sha256": "ab" * 32}
 
 
@@ -46,10 +48,13 @@ def test_an_override_is_another_hash_and_title_but_the_same_id() -> None:
 def test_a_field_that_has_the_value_already_is_no_override() -> None:
     assert overridden(PROTOCOL, {}) == PROTOCOL
     own = {
-        "person.body": PROTOCOL.person.body, "person.tissue_set": PROTOCOL.person.tissue_set, "physics.dt_s": "2e-3",
-        "impedance.translational_n_m": PROTOCOL.impedance.translational_n_m, "vision.segmenter": "mediapipe",
+        "person.body": PROTOCOL.person.body,
+        "person.tissue_set": PROTOCOL.person.tissue_set,
+        "physics.dt_s": "2e-3",
+        "impedance.translational_n_m": PROTOCOL.impedance.translational_n_m,
+        "vision.segmenter": "mediapipe",
         "vision.weights_sha256": "",
-    }  # fmt: skip
+    }
     assert overridden(PROTOCOL, own) == PROTOCOL
 
 
@@ -78,9 +83,14 @@ def test_overrides_are_taken_back_and_what_was_changed_besides_shows() -> None:
 def test_any_field_can_be_replaced_and_stands_in_the_title() -> None:
     other = overridden(
         PROTOCOL,
-        {"gates.push.force_n": "4", "tasks.T6.prompt": "touch the belly", "randomization.seeds": "[0, 1]",
-         "limits.f_pain_n.abdomen": "50", "person.tissue.forearm.friction": "0.7"},
-    )  # fmt: skip
+        {
+            "gates.push.force_n": "4",
+            "tasks.T6.prompt": "touch the belly",
+            "randomization.seeds": "[0, 1]",
+            "limits.f_pain_n.abdomen": "50",
+            "person.tissue.forearm.friction": "0.7",
+        },
+    )
     assert other.gates.of("push").force_n == 4.0
     assert other.task("T6").prompt == "touch the belly"
     assert other.randomization.seeds == [0, 1]
@@ -271,12 +281,12 @@ def test_hash_is_of_the_rows_alone(tmp_path: Path) -> None:
         ('id = "mine"\ndescription = "x"\n[tissue.knee]\na_n_m3 = 1', r"tissue\.knee"),
     ],
 )
-def test_a_wrong_file_is_told_with_place(tmp_path: Path, text: str, message: str) -> None:
+def test_a_wrong_file_is_reported_with_place(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_tissue_set(written(tmp_path, text))
 
 
-def test_unknown_and_missing_sets_are_told(tmp_path: Path) -> None:
+def test_unknown_and_missing_sets_are_named(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=r"no tissue set named 'skin'; valid: FILE.toml, human-published"):
         load_tissue_set("skin")
     with pytest.raises(ConfigError, match="No such file"):
@@ -287,11 +297,11 @@ def test_the_documents_symbol_table_has_the_shipped_forearm() -> None:
     row = load_tissue_set("paper-mapping").tissue["forearm"]
     lines = (Path(__file__).parents[2] / "docs" / "tissue.md").read_text().splitlines()
     cells = {line.split("|")[2].strip(): line.split("|")[4].strip() for line in lines if line.count("|") == 6}
-    said = {name.strip("` "): value for names, value in cells.items() for name in names.split(",")}
-    assert float(said["a_n_m3"]) == row.a_n_m3
+    shown = {name.strip("` "): value for names, value in cells.items() for name in names.split(",")}
+    assert float(shown["a_n_m3"]) == row.a_n_m3
     assert [float(value) for value in cells["`b_n_m4`, `c_n_m5`"].split(",")] == [row.b_n_m4, row.c_n_m5]
-    assert float(said["damping_ns_m3"]) == row.damping_ns_m3
-    assert float(said["membrane_n_m"].split()[0]) == row.membrane_n_m
+    assert float(shown["damping_ns_m3"]) == row.damping_ns_m3
+    assert float(shown["membrane_n_m"].split()[0]) == row.membrane_n_m
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,27 @@ def test_impossible_values_are_refused(path: FieldPath, value: Any) -> None:
     assert {error["loc"][: len(path)] for error in caught.value.errors()} == {path}
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("tasks", 0, "id"), "T2", "tasks: expected at least one, each with an id of its own"),
+        (("contact", "neighbourhood"), {}, "contact.neighbourhood.forearm: missing, and task T1 needs it"),
+        (("person", "tissue"), {}, "person.tissue: expected exactly .*'upper_arm'"),
+        (("cameras",), {"wrist": DUMP["cameras"]["wrist"]}, "cameras: expected overhead, bedside, exterior and wrist"),
+        (("randomization", "seeds"), [1, 1], "randomization.seeds: expected distinct whole numbers"),
+        (("limits", "f_pain_n"), {"forearm": 0.0}, "limits.f_pain_n: expected at least one segment, each above 0 N"),
+        (("contact", "off_n"), 0.5, "contact.off_n: expected less than on_n"),
+        (("randomization", "comfort_arm_deg"), [60.0, 45.0], "randomization.comfort_arm_deg: expected low below high"),
+        (("scene", "board_low_m"), [9.0, 9.0], "scene.board: expected low below high"),
+        (("phases", "settle_min_s"), 99.0, "phases.settle: expected low below high"),
+        (("impedance", "rotational_nm_rad"), 1e6, "impedance.rotational_nm_rad: expected 5 to 50, its bounds"),
+    ],
+)
+def test_fields_that_contradict_each_other_are_named(path: FieldPath, value: Any, message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        Protocol.model_validate(changed(path, value))
+
+
 def test_a_parked_posture_has_an_angle_for_each_joint_of_the_robot() -> None:
     with pytest.raises(ValidationError, match=r"parked_joint_rad: expected 7 angles .*, got 6"):
         Protocol.model_validate(changed(("scene", "parked_joint_rad"), [0.0] * 6))
@@ -185,10 +206,16 @@ def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object])
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"appearance": "other"}, {"encoder_noise_rad": -1}, {"colour": "red"}, {"place_along_m": 40.0},
-        {"place_across_m": -0.01}, {"place_yaw_deg": 90.0}, {"calibration_m": 3.0}, {"calibration_deg": -0.2},
+        {"appearance": "other"},
+        {"encoder_noise_rad": -1},
+        {"colour": "red"},
+        {"place_along_m": 40.0},
+        {"place_across_m": -0.01},
+        {"place_yaw_deg": 90.0},
+        {"calibration_m": 3.0},
+        {"calibration_deg": -0.2},
     ],
-)  # fmt: skip
+)
 def test_unknown_variations_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError, match="variation"):
         Protocol.model_validate({**load_protocol().model_dump(mode="json"), "variation": wrong})
@@ -218,7 +245,7 @@ def test_an_empty_table_takes_the_published_values(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "message"),
     [
         ("[person.alive.breathing]\nfrequency_hz = [0.3, 0.2]", r"breathing\.frequency_hz: expected \[low, high\] Hz"),
         (
@@ -234,8 +261,8 @@ def test_an_empty_table_takes_the_published_values(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_wrong_value_is_told_with_what_would_be_valid(tmp_path: Path, table: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_a_wrong_value_is_reported_with_what_would_be_valid(tmp_path: Path, table: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         loaded(tmp_path, table)
 
 

@@ -64,9 +64,7 @@ def test_names_are_those_of_recording_and_contract(protocol: Protocol) -> None:
         assert set(segments) <= set(SEGMENTS)
         assert len(set(segments)) == len(segments)
         assert REGIONS[region].segment in segments
-    anatomical = {s.removeprefix("right_").removeprefix("left_") for s in SEGMENTS}
-    assert anatomical == set(SEGMENT_PARTS)
-    assert set(STANDARD_REGIONS) <= set(protocol.limits.f_pain_n) <= anatomical
+    assert set(STANDARD_REGIONS) <= set(protocol.limits.f_pain_n) <= set(SEGMENT_PARTS)
 
 
 def test_tasks_are_distinct_and_their_prompts_name_the_region(protocol: Protocol) -> None:
@@ -82,37 +80,15 @@ def test_tasks_are_distinct_and_their_prompts_name_the_region(protocol: Protocol
         assert task.name == f"{task.action.capitalize()} {words}"
 
 
-def test_seeds_are_distinct(protocol: Protocol) -> None:
-    seeds = protocol.randomization.seeds
-    assert seeds
-    assert len(set(seeds)) == len(seeds)
-    assert min(seeds) >= 0
-
-
-def test_intervals_are_the_right_way_round(protocol: Protocol) -> None:
-    impedance, phases, contact = protocol.impedance, protocol.phases, protocol.contact
-    pairs = [
-        protocol.randomization.comfort_arm_deg, impedance.translational_bounds, impedance.rotational_bounds,
-        *zip(impedance.workspace_low_m, impedance.workspace_high_m, strict=True),
-        *zip(protocol.scene.board_low_m, protocol.scene.board_high_m, strict=True),
-        (phases.settle_hold_s, phases.settle_min_s), (phases.settle_min_s, phases.settle_max_s),
-        (contact.off_n, contact.on_n), (protocol.physics.dt_s, protocol.physics.target_period_s),
-    ]  # fmt: skip
-    for low, high in pairs:
-        assert low < high
-    assert impedance.translational_bounds[0] <= impedance.translational_n_m <= impedance.translational_bounds[1]
-    assert impedance.rotational_bounds[0] <= impedance.rotational_nm_rad <= impedance.rotational_bounds[1]
+def test_what_loading_does_not_check_is_in_order(protocol: Protocol) -> None:
+    phases, contact, physics = protocol.phases, protocol.contact, protocol.physics
+    assert phases.settle_hold_s < phases.settle_min_s
+    assert physics.dt_s < physics.target_period_s
     for tissue in protocol.person.tissue.values():
         assert tissue.spacing_m <= tissue.coarse_spacing_m
         assert tissue.measured_depth_m < tissue.thickness_m
-
-
-def test_target_period_and_filters_fit_the_physics_step(protocol: Protocol) -> None:
-    steps = protocol.physics.target_period_s / protocol.physics.dt_s
-    assert steps == pytest.approx(round(steps), abs=1e-9)
-    nyquist_hz = 0.5 / protocol.physics.dt_s
-    assert max(protocol.contact.filter_hz, protocol.contact.peak_filter_hz) < nyquist_hz
-    assert 2 * protocol.contact.stroke_filter_hz < protocol.contact.stroke_sample_hz
+    assert max(contact.filter_hz, contact.peak_filter_hz) < 0.5 / physics.dt_s
+    assert 2 * contact.stroke_filter_hz < contact.stroke_sample_hz
 
 
 def test_in_the_protocol_of_the_paper_only_the_arm_changes() -> None:
@@ -126,21 +102,22 @@ BATHING = load_protocol("bathing-v3-draft")
 
 def test_bathing_tasks() -> None:
     assert [(t.id, t.action, t.region) for t in BATHING.tasks] == [
-        ("T1", "touch", "forearm"), ("T2", "push", "forearm"), ("T3", "scrub", "forearm"), ("T4", "touch", "upper_arm"),
-        ("T5", "scrub", "upper_arm"), ("T6", "touch", "abdomen"), ("T7", "scrub", "abdomen"),
-    ]  # fmt: skip
+        ("T1", "touch", "forearm"),
+        ("T2", "push", "forearm"),
+        ("T3", "scrub", "forearm"),
+        ("T4", "touch", "upper_arm"),
+        ("T5", "scrub", "upper_arm"),
+        ("T6", "touch", "abdomen"),
+        ("T7", "scrub", "abdomen"),
+    ]
 
 
 def test_bathing_trials() -> None:
     assert BATHING.randomization.seeds == list(range(20))
     assert BATHING.randomization.comfort_arm_deg == (45.0, 60.0)
     phases = BATHING.phases
-    assert (phases.settle_min_s, phases.settle_max_s, phases.settle_hold_s, phases.settle_speed_m_s) == (
-        2,
-        10,
-        0.25,
-        0.01,
-    )
+    assert (phases.settle_min_s, phases.settle_max_s) == (2, 10)
+    assert (phases.settle_hold_s, phases.settle_speed_m_s) == (0.25, 0.01)
     assert (phases.time_limit_s, phases.truncation_over_pain) == (30.0, 2.0)
     assert (phases.first_call_deadline_s, phases.call_deadline_s) == (120.0, 30.0)
 

@@ -122,7 +122,7 @@ def test_a_recording_is_checked_when_made_and_hashed_when_written_and_when_read(
     assert done == ["canonical_digest", "check_recording", "canonical_digest"]
 
 
-def test_nobody_writes_to_a_recording(tmp_path: Path) -> None:
+def test_a_recording_is_read_only(tmp_path: Path) -> None:
     given = dict(touch().arrays)
     made = Recording(header=touch().header, arrays=given)
     given.clear()
@@ -244,11 +244,13 @@ def test_a_few_megabytes_that_unpack_to_gigabytes_are_refused(tmp_path: Path, im
 def test_what_no_checksum_covers_is_small(tmp_path: Path, image: bytes) -> None:
     path = tmp_path / "T1-s000.h5"
     large = np.random.default_rng(0).integers(0, 256, MAX_WALL_BYTES + 1, np.uint8)
-    told = f"wall/ has {large.size + 3200} bytes, which no checksum covers; at most {MAX_WALL_BYTES} are allowed there"
+    message = (
+        f"wall/ has {large.size + 3200} bytes, which no checksum covers; at most {MAX_WALL_BYTES} are allowed there"
+    )
     path.write_bytes(image)
     with h5py.File(path, "r+") as file:
         file["wall/hidden"] = large
-    with pytest.raises(RecordingError, match=told):
+    with pytest.raises(RecordingError, match=message):
         read_recording(path)
     with pytest.raises(RecordingError, match="which no checksum covers"):
         write_recording(make_recording(extra={"wall/hidden": large}), path)
@@ -294,9 +296,11 @@ def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
 
 
 PARTNERS = {
-    "scorer/cell_area_m2": "scorer/cell_press_ns", "scorer/cell_in_region": "scorer/cell_press_ns",
-    "scorer/repositioning_s": "scorer/repositioning_rad", "scorer/repositioning_rad": "scorer/repositioning_s",
-}  # fmt: skip
+    "scorer/cell_area_m2": "scorer/cell_press_ns",
+    "scorer/cell_in_region": "scorer/cell_press_ns",
+    "scorer/repositioning_s": "scorer/repositioning_rad",
+    "scorer/repositioning_rad": "scorer/repositioning_s",
+}
 """Optional array -> another one of the same length."""
 
 
@@ -323,7 +327,7 @@ def test_a_recording_that_another_process_has_locked_is_read(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (OSError(errno.EIO, "Can't read data (file read failed)"), "Input/output error"),
         (OSError(errno.ESTALE, "Unable to open file"), "Stale file handle"),
@@ -336,7 +340,7 @@ def test_a_recording_that_another_process_has_locked_is_read(tmp_path: Path) -> 
     ids=lambda value: errno.errorcode[value.errno] if isinstance(value, OSError) else "",
 )
 def test_a_fault_of_the_machine_is_no_damage(
-    error: OSError, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    error: OSError, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(*_: object, **options: object) -> None:
         raise error
@@ -345,6 +349,6 @@ def test_a_fault_of_the_machine_is_no_damage(
     monkeypatch.setenv("HDF5_USE_FILE_LOCKING", "TRUE")
     monkeypatch.setattr(h5py, "File", refused)
     for read in (read_recording, read_header):
-        with pytest.raises(OSError, match=re.escape(told)) as raised:
+        with pytest.raises(OSError, match=re.escape(message)) as raised:
             read(path)
-        assert (raised.value.errno, raised.value.filename, raised.value.strerror) == (error.errno, str(path), told)
+        assert (raised.value.errno, raised.value.filename, raised.value.strerror) == (error.errno, str(path), message)

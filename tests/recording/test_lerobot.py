@@ -58,8 +58,10 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_rows_have_what_the_policy_saw_and_did(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "lerobot", "run", "--out", "d"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "T1-s000: 6 rows at 10 fps", "T2-s000: 6 rows at 10 fps", "dataset: d",
-    ]  # fmt: skip
+        "T1-s000: 6 rows at 10 fps",
+        "T2-s000: 6 rows at 10 fps",
+        "dataset: d",
+    ]
     info = json.loads(Path("d/meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_episodes"], info["total_frames"]) == ("v3.0", 10, 2, 12)
     table = parquet.read_table("d/data/chunk-000/file-001.parquet")
@@ -124,7 +126,7 @@ def test_every_episode_has_the_statistics_from_which_lerobots_tools_make_those_o
 
 def test_the_format_v21_has_a_line_for_each_episode_and_tells_which_columns_are_images(run: Path) -> None:
     assert main(["export", "lerobot", "run", "--out", "d"]) == 0
-    assert main(["export", "lerobot-v2.1", "run", "--out", "e"]) == 0
+    assert main(["export", "lerobot", "--form", "v2.1", "run", "--out", "e"]) == 0
     info, of_v3 = (json.loads(Path(f"{name}/meta/info.json").read_text()) for name in ("e", "d"))
     assert (info["codebase_version"], info["total_chunks"], info["total_videos"]) == ("v2.1", 1, 0)
     assert {key: info[key] for key in ("fps", "features", "total_frames")} == {
@@ -194,9 +196,16 @@ def test_no_quantity_of_the_scorer_is_exported_unless_asked_for(run: Path) -> No
     assert main(["export", "lerobot", "run", "--out", "d"]) == 0
     features = json.loads(Path("d/meta/info.json").read_text())["features"]
     assert set(features) == {
-        "action", "observation.state", "observation.age_s", "observation.images.overhead", "timestamp", "frame_index",
-        "episode_index", "index", "task_index",
-    }  # fmt: skip
+        "action",
+        "observation.state",
+        "observation.age_s",
+        "observation.images.overhead",
+        "timestamp",
+        "frame_index",
+        "episode_index",
+        "index",
+        "task_index",
+    }
     assert main(["export", "lerobot", "run", "--out", "e", "--with-force"]) == 0
     features = json.loads(Path("e/meta/info.json").read_text())["features"]
     assert "right_forearm" in features["scorer.force"]["names"]
@@ -216,7 +225,7 @@ def test_the_state_is_the_tools_pose_in_the_robots_base() -> None:
     assert np.allclose(np.abs(quat), [0, 0, 0, 1], atol=1e-6)
 
 
-def test_noisy_encoders_are_not_told_without_their_noise() -> None:
+def test_noisy_encoders_are_not_exported_without_their_noise() -> None:
     recording = seen(touch(seed=0))
     spec = recording.header.spec
     noisy = spec.protocol.model_copy(
@@ -232,9 +241,9 @@ def test_a_trial_that_cannot_be_exported_is_named(run: Path, capsys: pytest.Capt
     write_recording(replace(lost, arrays=arrays), run / "run" / "T1-s001.h5")
     write_recording(touch(seed=2), run / "run" / "T1-s002.h5")
     assert main(["export", "lerobot", "run", "--out", "d"]) == 1
-    told = capsys.readouterr().out
-    assert "left out: T1-s001: the recording does not hold the image of overhead at observation 1" in told
-    assert "left out: T1-s002: the policy did no action" in told
+    message = capsys.readouterr().out
+    assert "left out: T1-s001: the recording does not hold the image of overhead at observation 1" in message
+    assert "left out: T1-s002: the policy did no action" in message
     assert json.loads(Path("d/meta/info.json").read_text())["total_episodes"] == 2
 
 
@@ -245,10 +254,10 @@ def test_mistakes_are_one_line(run: Path, capsys: pytest.CaptureFixture[str]) ->
     other.header.card["cameras"] = []  # type: ignore[index]
     write_recording(other, run / "run" / "T1-s003.h5")
     assert main(["export", "lerobot", "run", "--out", "d"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert told[0] == "error: --out run: exists already; name a new folder"
-    assert told[1].startswith("error: nowhere: no such folder")
-    assert told[2] == (
+    message = capsys.readouterr().err.splitlines()
+    assert message[0] == "error: --out run: exists already; name a new folder"
+    assert message[1].startswith("error: nowhere: no such folder")
+    assert message[2] == (
         "error: T1-s003 cannot be in one dataset with the trials before it: it differs in observation.images.overhead"
     )
 

@@ -75,7 +75,7 @@ def test_a_policy_can_note_anything() -> None:
 
 
 @pytest.mark.parametrize("notes", [{"0000/json": [1]}, {"x/json": {}}, {"0000/map": {}}])
-def test_what_is_no_note_is_told(notes: dict[str, object]) -> None:
+def test_what_is_no_note_is_refused(notes: dict[str, object]) -> None:
     with pytest.raises(RecordingError, match="T1-s000: policy/notes/"):
         read_notes(recording(notes))
 
@@ -156,8 +156,8 @@ def test_reason_is_the_exception_under_the_traceback(message: str, expected: str
 
 @pytest.mark.parametrize("kind", ["program", "language", "action"])
 def test_who_chooses_words_of_a_failure_does_not_choose_its_reason(kind: str) -> None:
-    said = "program planner: go was stopped: ValueError: boo\nTraceback (most recent call last):\nAllFine: passed"
-    failure = Failure(kind=kind, message=f"policy 'x' failed at reset: {said} (line 1)\nit printed last:\nhello")
+    message = "program planner: go was stopped: ValueError: boo\nTraceback (most recent call last):\nAllFine: passed"
+    failure = Failure(kind=kind, message=f"policy 'x' failed at reset: {message} (line 1)\nit printed last:\nhello")
     assert reason_of(failure) == (
         "policy 'x' failed at reset: program planner: go was stopped: ValueError: boo Traceback (most recent call "
         "last): AllFine: passed (line 1)"
@@ -184,7 +184,7 @@ def test_a_refusal_has_its_remedy_and_other_failures_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "may_help"),
+    ("message", "may_help"),
     [
         ("KeyError: 'wrist'", "The card's cameras"),
         ("TypeError: 'NoneType' object is not subscriptable", "landmarks_in_base needs depth"),
@@ -195,8 +195,8 @@ def test_a_refusal_has_its_remedy_and_other_failures_none() -> None:
         ("InvalidMessage: did not receive a valid HTTP response", "no WebSocket server"),
     ],
 )
-def test_common_mistakes_in_a_policys_own_code_have_one(said: str, may_help: str) -> None:
-    (remedy,) = remedies(f"policy 'x' failed at act: {said}")
+def test_common_mistakes_in_a_policys_own_code_have_one(message: str, may_help: str) -> None:
+    (remedy,) = remedies(f"policy 'x' failed at act: {message}")
     assert re.search(may_help, remedy)
 
 

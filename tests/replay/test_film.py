@@ -98,10 +98,10 @@ def test_a_browser_plays_the_video(tmp_path: Path) -> None:
         answer = browser.open(tmp_path / "page.html").call(
             "Runtime.evaluate", expression=played, returnByValue=True, awaitPromise=True
         )
-    told = answer["result"]["value"]
-    if told == "no H.264":
+    wording = answer["result"]["value"]
+    if wording == "no H.264":
         pytest.skip("this Chromium was built without H.264")
-    assert told == "64x48 0.64"
+    assert wording == "64x48 0.64"
 
 
 # Several processes that draw one video.
@@ -133,7 +133,7 @@ class Killed:
         os._exit(9)
 
 
-def test_a_drawing_process_that_is_killed_is_told(pressed: Recording) -> None:
+def test_a_drawing_process_that_is_killed_is_reported(pressed: Recording) -> None:
     film = Film(pressed, fps=4, size=SMALL, panel=False)
     film.view = Killed()
     with pytest.raises(DependencyError, match=r"was killed.*--jobs 1"):

@@ -98,7 +98,7 @@ def test_a_trial_with_a_secret_draw_is_refused(pressed: Recording) -> None:
         Replay(replace(pressed, header=pressed.header.model_copy(update={"spec": spec})))
 
 
-def test_the_worst_stretch_decides_what_is_said() -> None:
+def test_the_worst_stretch_decides_the_wording() -> None:
     found, nothing = ReplayQuality(), np.zeros(0, np.int64)
     assert str(found) == "stepped again from the recording, bit for bit"
     for kind, off_m in (("close", 1e-4), ("interpolated", 2e-3), ("exact", 0.0)):
@@ -211,14 +211,14 @@ def test_the_viewer_is_reachable_from_this_machine_only(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere Rerun's settings have another place")
 def test_the_viewer_is_started_without_its_usage_data() -> None:
     with viewer.without_usage_data() as environment:
-        told = subprocess.run(
+        wording = subprocess.run(
             [command(Path())[0], "analytics", "config"],
             env=dict(environment),
             check=True,
             capture_output=True,
             text=True,
         )
-        assert '"analytics_enabled": false' in told.stdout
+        assert '"analytics_enabled": false' in wording.stdout
     assert not Path(environment["XDG_CONFIG_HOME"]).exists()
 
 

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 VOID = {"meta", "img", "br", "input", "link", "hr"}
 PHRASING = {
-    "a", "b", "br", "button", "img", "input", "label", "option", "output", "select", "span", "sub", "svg", "video",
+    "a", "b", "br", "button", "i", "img", "input", "label", "option", "output", "select", "span", "sub", "svg", "video",
 }  # fmt: skip
 FLOW = {
     "article", "details", "div", "dl", "figure", "footer", "form", "h1", "h2", "h3", "header", "main", "nav", "ol", "p",
@@ -20,7 +20,7 @@ ONLY = {
 TEXT_ONLY = {"title", "style", "script", "option", "text"}
 PARENT = {"li": {"ul", "ol"}, "summary": {"details"}, "figcaption": {"figure"}, "td": {"tr"}, "th": {"tr"}}
 DRAWN = {"path", "rect", "circle", "polyline", "polygon", "text", "tspan", "image"}
-SMALL = {"p", "h1", "h2", "h3", "span", "a", "b", "label", "button", "sub", "pre", "dt", "summary", "output"}
+SMALL = {"p", "h1", "h2", "h3", "span", "a", "b", "label", "button", "sub", "pre", "dt", "output", "i"}
 """Elements that hold phrasing content alone."""
 
 
@@ -64,13 +64,13 @@ class StrictReader(HTMLParser):
         parent = self._open[-1] if self._open else ""
         self.elements.append((tag, parent))
         names = [name for name, _ in attrs]
-        told = dict(attrs)
+        wording = dict(attrs)
         self.faults += [f"<{tag}> has {name} twice" for name in set(names) if names.count(name) > 1]
-        if (id_ := told.get("id")) is not None:
+        if (id_ := wording.get("id")) is not None:
             if not id_ or " " in id_ or id_ in self._ids:
                 self.faults.append(f"id {id_!r} of <{tag}> is empty, spaced or not the only one")
             self._ids.add(id_)
-        if tag == "img" and not (told.get("alt") and told.get("src")):
+        if tag == "img" and not (wording.get("alt") and wording.get("src")):
             self.faults.append("<img> without src and alt")
         known = tag in PHRASING | FLOW | set(ONLY) | TEXT_ONLY | VOID | DRAWN | {"body", "li", "dt", "dd", "td", "th"}
         if not known:

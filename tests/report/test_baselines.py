@@ -24,9 +24,7 @@ from tests.report.synthetic import FAILED, NO_CONTACT, make_score
 
 
 def passed(name: str, task: str, passed: list[bool], *, first_seed: int = 0) -> list[TrialScore]:
-    return [
-        make_score(task, first_seed + k, policy=name, **({} if ok else NO_CONTACT)) for k, ok in enumerate(passed)
-    ]  # fmt: skip
+    return [make_score(task, first_seed + k, policy=name, **({} if ok else NO_CONTACT)) for k, ok in enumerate(passed)]
 
 
 METHOD = RunScores(scores=passed("mine", "T1", [True] * 8 + [False] * 2) + passed("mine", "T6", [True] * 10))
@@ -35,9 +33,10 @@ METHOD = RunScores(scores=passed("mine", "T1", [True] * 8 + [False] * 2) + passe
 def test_rates_and_paired_differences() -> None:
     """T1: the baseline passes 3, all of which the method passes, and one of the method's two failures."""
     baseline = RunScores(
-        scores=passed("replay", "T1", [True] * 3 + [False] * 6 + [True]) + passed("replay", "T6", [False] * 10)
+        scores=passed("replay", "T1", [True] * 3 + [False] * 6 + [True])
+        + passed("replay", "T6", [False] * 10)
         + passed("replay", "T7", [True] * 5)
-    )  # fmt: skip
+    )
     beside = beside_baselines(METHOD, [baseline])
     assert beside.tasks == ("T1", "T6")
     (found,) = beside.baselines
@@ -133,7 +132,7 @@ def test_a_probe_and_a_ceiling_stand_beside_the_floor_and_are_not_it() -> None:
 
 
 def test_a_baseline_of_somebody_else_is_floor_and_not_called_blind() -> None:
-    """Nobody registered it, so that nothing but its name under --baseline says what it is."""
+    """It is not registered, so that nothing but its name under --baseline says what it is."""
     own = RunScores(scores=passed("my:Blind", "T1", [True] * 9 + [False]))
     beside = beside_baselines(METHOD, [own, RunScores(scores=REPLAY)])
     assert [row.role for row in beside.baselines] == ["method", "blind"]

@@ -152,7 +152,7 @@ def test_few_seeds_give_no_claim_of_power() -> None:
     b = run(*grid(4, lambda t, s: {"c1_peak_force_n": 20.0 + (s + int(t[1])) % 3 - 1}, tasks))
     line = score(compare_runs(a, b), "C1")
     assert line.verdict is not None
-    assert line.verdict.text == "underpowered: from 4 seeds nobody can tell what could have been detected"
+    assert line.verdict.text == "underpowered: from 4 seeds it is unknown what could have been detected"
     sure = score(compare_runs(a, run(*grid(4, noisy(10, 1), tasks))), "C1")
     assert sure.notes == ("based on only 4 seeds",)
 
@@ -164,12 +164,12 @@ def test_a_median_that_stands_still_gives_no_claim_of_power() -> None:
     line = score(compare_runs(a, b), "C1")
     assert line.verdict is not None
     assert line.verdict.text == (
-        "underpowered: where so many pairs are equal that no resample moves the median nobody can tell what could "
+        "underpowered: where so many pairs are equal that no resample moves the median, it is unknown what could "
         "have been detected"
     )
 
 
-def test_what_three_of_ten_seeds_give_is_told() -> None:
+def test_what_three_of_ten_seeds_give_is_stated() -> None:
     """A alone succeeds in all tasks of three seeds: 21 pairs to 0, but 2.8 % of the resamples miss all three."""
     tasks = tuple(f"T{i}" for i in range(1, 8))
     a = run(*grid(10, lambda t, s: {} if s < 3 else FAILED, tasks), policy="a")
@@ -237,7 +237,7 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "wording"),
     [
         ({"protocol_sha256": "1" * 64}, "A ran bathing-v3-draft"),
         (
@@ -251,11 +251,11 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
         ({"task_id": "T4"}, "no trial .* in common: A has T1 .*; B has T4"),
         (HARNESS, "B is incomplete, 0 of 1 planned trial has a verdict"),
     ],
-)  # fmt: skip
-def test_refusals_name_what_differs(change: dict[str, Any], told: str) -> None:
+)
+def test_refusals_name_what_differs(change: dict[str, Any], wording: str) -> None:
     change = {"task_id": "T1", "seed": 0, **change}
     other = make_score(change.pop("task_id"), change.pop("seed"), **change)
-    with pytest.raises(ConfigError, match=told) as caught:
+    with pytest.raises(ConfigError, match=wording) as caught:
         compare_runs(run(make_score("T1", 0), policy="a"), run(other))
     assert "\n" not in str(caught.value)
 

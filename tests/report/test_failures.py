@@ -42,8 +42,9 @@ def test_denominator_of_modes_is_the_failures() -> None:
         failed("T6", 1, "process", "d", ended="harness_error", failure_mode="process_failure"),
     ]
     assert [(m["mode"], m["count"], m["of"]) for m in failure_modes(scores)] == [
-        ("lost contact", 2, 3), ("no target contact", 1, 3)
-    ]  # fmt: skip
+        ("lost contact", 2, 3),
+        ("no target contact", 1, 3),
+    ]
 
 
 def test_evidence_is_taken_from_different_tasks_first() -> None:
@@ -80,7 +81,7 @@ def failed_by(cause: str, mode: str, evidence: str, *, seed: int = 0) -> TrialSc
 
 
 @pytest.mark.parametrize(
-    ("cause", "mode", "evidence", "told"),
+    ("cause", "mode", "evidence", "wording"),
     [
         ("planning", "no_target_contact", "No motion was commanded; the policy asked for no images.", "no motion"),
         ("planning", "no_target_contact", "The commanded path was aimed 159 mm beside the forearm; it saw it.",
@@ -100,10 +101,10 @@ def failed_by(cause: str, mode: str, evidence: str, *, seed: int = 0) -> TrialSc
         ("safety", "joint_beyond_range", "The elbow was 0.1 rad beyond", "a joint of the person"),
     ],
 )  # fmt: skip
-def test_one_thing_is_said_and_no_alternative(cause: str, mode: str, evidence: str, told: str) -> None:
-    said = cause_text(failed_by(cause, mode, evidence))
-    assert told in said
-    assert " or " not in said
+def test_one_cause_is_given_and_no_alternative(cause: str, mode: str, evidence: str, wording: str) -> None:
+    sentence = cause_text(failed_by(cause, mode, evidence))
+    assert wording in sentence
+    assert " or " not in sentence
 
 
 def test_the_table_of_causes_has_a_row_for_each_thing_that_happened() -> None:
@@ -123,10 +124,12 @@ def worded(evidence: str | None) -> str:
     return evidence_text(make_score("T1", 0, **FAILED | {"evidence": evidence}))
 
 
-def test_a_distance_to_the_surface_is_not_said_to_be_upward() -> None:
+def test_a_distance_to_the_surface_is_not_called_upward() -> None:
     kept = "The commanded path came to 28 mm above the surface of the forearm; the robot touched right_thigh, head."
-    said = "The commanded path came to within 28 mm of the surface of the forearm; the robot touched right thigh, head."
-    assert worded(kept) == said
+    sentence = (
+        "The commanded path came to within 28 mm of the surface of the forearm; the robot touched right thigh, head."
+    )
+    assert worded(kept) == sentence
     assert off_surface(make_score("T1", 0, **FAILED | {"evidence": kept}))
     assert "came to 5 mm below the surface" in worded("The commanded path came to 5 mm below the surface of the arm.")
 
@@ -146,14 +149,16 @@ def test_what_the_policy_noted_stays() -> None:
 
 
 @pytest.mark.parametrize(
-    ("starts", "told"), [((1,), "touched without interruption for "), ((1, 3, 5), "touched 3 times, for ")]
+    ("starts", "wording"), [((1,), "touched without interruption for "), ((1, 3, 5), "touched 3 times, for ")]
 )
-def test_contact_is_only_said_to_hold_where_it_did(starts: tuple[int, ...], told: str) -> None:
+def test_contact_only_holds_where_it_did(starts: tuple[int, ...], wording: str) -> None:
     time_s = (np.arange(4000) + 1) * 0.002
     force = np.sum([plateau(time_s, start=start, end=start + 1, level=5, ripple=0) for start in starts], axis=0)
     contact = find_contact(make_recording("T1", 0, {"right_forearm": force}, duration_s=8))
     score = make_score("T1", 0, **FAILED | {"failure_mode": "insufficient_progress"})
     gate = GatePart(name="On", needed="70%", reached="69%", met=False)
-    said = mode_text(score, contact, [gate])
-    assert said.startswith(told)
-    assert said.endswith("the trial missed 1 gate, namely “On”: 69\N{NO-BREAK SPACE}%, 70\N{NO-BREAK SPACE}% needed")
+    sentence = mode_text(score, contact, [gate])
+    assert sentence.startswith(wording)
+    assert sentence.endswith(
+        "the trial missed 1 gate, namely “On”: 69\N{NO-BREAK SPACE}%, 70\N{NO-BREAK SPACE}% needed"
+    )

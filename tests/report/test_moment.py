@@ -56,15 +56,15 @@ def test_where_and_how_hard_and_how_deep() -> None:
     assert peak_moment(whole_trial(touched=False)) is None
 
 
-def test_a_press_outside_the_outline_and_away_from_the_tip_is_told() -> None:
+def test_a_press_outside_the_outline_and_away_from_the_tip_is_named() -> None:
     """Its cells lie within 10 mm across; another part of the tool presses 30 mm from them, and they feel nothing."""
     recording, moment = of_the_mitt(), moment_of()
     recording.arrays["scorer/cell_press_ns"][:] = 0
     beside = moment.centroid_in_region + [0.0, 0.04, 0.0]
     moved = replace(moment, centroid_in_region=beside, centroid_in_world=CONTACT + [0.0, 0.04, 0.0])
-    told = place_text(recording, moved)
-    assert "30 mm toward the hand and 40 mm across from the middle" in told
-    assert told.endswith("outside the region's outline: 30 mm from the nearest of its cells")
+    wording = place_text(recording, moved)
+    assert "30 mm toward the hand and 40 mm across from the middle" in wording
+    assert wording.endswith("outside the region's outline: 30 mm from the nearest of its cells")
     away, felt = place_notes(recording, moved)
     assert away.startswith("The force acts 40 mm from the tip of the tool: another part")
     assert felt == "The cells inside the region's outline felt 0\N{NO-BREAK SPACE}% of this force."
@@ -155,7 +155,7 @@ def test_the_drawing_has_the_force_in_its_middle_and_the_tip() -> None:
     assert (float(x), float(y)) == (pytest.approx(230, abs=1), pytest.approx(150, abs=1))
     assert svg.count('class="tip"') == svg.count('class="tool"') == 1
     unknown = drawn_svg(recording, moment, title="t") or ""
-    assert unknown.count('class="tip"') == 0, "nobody knows the tip of another robot"
+    assert unknown.count('class="tip"') == 0, "the tip of another robot is unknown"
 
 
 def test_pages_show_it_only_where_the_picture_does_not(tmp_path: Path) -> None:

@@ -172,9 +172,10 @@ def test_without_a_common_seed_the_intervals_of_persons_are_combined() -> None:
 )
 def test_the_order_of_trials_is_nothing(cells: list[tuple[int, bool, bool]], shuffle: random.Random) -> None:
     def side(k: int) -> list[TrialScore]:
-        return [make_score(f"T{1 + i % 7}", 6 * (i // 7) + seed, policy="ab"[k],
-                           **(DRAWN | ({} if passed[k] else FAILED)))
-                for i, (seed, *passed) in enumerate(cells)]  # fmt: skip
+        return [
+            make_score(f"T{1 + i % 7}", 6 * (i // 7) + seed, policy="ab"[k], **(DRAWN | ({} if passed[k] else FAILED)))
+            for i, (seed, *passed) in enumerate(cells)
+        ]
 
     a, b = side(0), side(1)
     pairs = list(zip(a, b, strict=True))

@@ -116,7 +116,7 @@ def test_a_table_that_fits_a_column_takes_one(tables: dict[str, Table]) -> None:
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no LaTeX")
 def test_latex_compiles_every_table(tables: dict[str, Table], tmp_path: Path) -> None:
-    """Within the width of its place, but for what nobody sees, and within the height of a page."""
+    """Within the width of its place, but for what is invisible, and within the height of a page."""
     parts = "\n".join(table.latex() for table in tables.values())
     head = "\\documentclass[twocolumn,10pt]{article}\\usepackage[T1]{fontenc}\\usepackage{booktabs,tabularx}"
     (tmp_path / "all.tex").write_text(f"{head}\\begin{{document}}\n{parts}\nx\\end{{document}}\n")

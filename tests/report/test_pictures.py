@@ -74,22 +74,23 @@ def test_every_option_has_a_cell_with_its_number_and_the_chosen_one_is_red() -> 
     assert {k: cell.get_bbox_patch().get_facecolor() == red for k, cell in cells.items()} == {
         "0": False, "1": True, "2": False
     }  # fmt: skip
-    said = texts(figure)
-    assert {"12 mm\n3 cm/s", "18 mm\n3 cm/s", "60 mm\n5 cm/s", "touch", "push"} <= set(said)
-    assert {"above, 0.5 along the region", "near side, 0.5 along the region", "A", "B"} <= set(said)
-    assert "“gently touch the right forearm”" in said
-    assert any("chosen: 1" in text for text in said)
-    assert "intent: touch right forearm gentle" in said
-    assert not any("a dot:" in text for text in said)
+    sentence = texts(figure)
+    assert {"12 mm\n3 cm/s", "18 mm\n3 cm/s", "60 mm\n5 cm/s", "touch", "push"} <= set(sentence)
+    assert {"above, 0.5 along the region", "near side, 0.5 along the region", "A", "B"} <= set(sentence)
+    assert "“gently touch the right forearm”" in sentence
+    assert any("chosen: 1" in text for text in sentence)
+    assert "intent: touch right forearm gentle" in sentence
+    assert not any("a dot:" in text for text in sentence)
     # Two depths at one place are one place: its letter stands once in the picture and once in the table.
-    assert said.count("A") == 2
+    assert sentence.count("A") == 2
 
 
 def test_letters_do_not_hide_one_another() -> None:
     options = [
         {**OPTION, "key_point": k / 20, "corners_px": [[30.0 + k / 10, 30.0]], "primitive": primitive}
-        for primitive in ("touch", "scrub") for k in range(6)
-    ]  # fmt: skip
+        for primitive in ("touch", "scrub")
+        for k in range(6)
+    ]
     figure = draw_notes(recording({**OPTIONS, "options": options}))
     letters = np.array([t.get_position() for t in figure.axes[0].texts])
     assert len(letters) == 12
@@ -106,9 +107,9 @@ def test_a_level_slice_lies_where_the_camera_sees_it() -> None:
     assert values[30, 40] == pytest.approx(0.5, abs=0.02)
     assert values[20, 40] > values[30, 40] > values[40, 40]
     assert np.isnan(values[0, 0])
-    said = texts(figure)
-    assert any("replay:0123:authored" in text for text in said)
-    assert said.count("not in this recording") == 3, "recordings from before these were noted can still be drawn"
+    sentence = texts(figure)
+    assert any("replay:0123:authored" in text for text in sentence)
+    assert sentence.count("not in this recording") == 3, "recordings from before these were noted can still be drawn"
 
 
 def test_a_path_is_dotted_where_it_leaves_the_slice() -> None:
@@ -133,10 +134,10 @@ def test_what_the_other_maps_ask_for_is_drawn() -> None:
     np.testing.assert_allclose(by_label["speed [m/s]"].get_lines()[0].get_ydata(), [0.25, 0.0625])
     np.testing.assert_allclose(by_label["off straight\ndown [deg]"].get_lines()[0].get_ydata(), [np.nan, 0.0])
     assert [t.get_text() for t in by_label["gripper"].texts] == ["as it is"]
-    said = texts(figure)
-    assert "affordance: there     velocity: slowly" in said
-    assert "velocity 0.25" in said
-    assert "velocity 1" not in said, "a box that fills the workspace has no edge to draw"
+    sentence = texts(figure)
+    assert "affordance: there     velocity: slowly" in sentence
+    assert "velocity 0.25" in sentence
+    assert "velocity 1" not in sentence, "a box that fills the workspace has no edge to draw"
 
 
 def test_the_phase_of_the_objective_is_drawn_where_the_tool_was_sent() -> None:
@@ -164,21 +165,21 @@ def test_the_phase_of_the_objective_is_drawn_where_the_tool_was_sent() -> None:
 def test_a_program_that_stopped_everything_is_shown_with_its_line() -> None:
     programs = [{"role": "planner", "query": "go", "code": "x = 1\nopen('/etc/passwd')"},
                 {"role": "composer", "query": "there", "code": "execute()"}]  # fmt: skip
-    said = "program planner: go was stopped: PermissionError: no (line 2: open('/etc/passwd'))"
+    sentence = "program planner: go was stopped: PermissionError: no (line 2: open('/etc/passwd'))"
     content = {"method": "voxposer", "camera": "overhead", "programs": programs, "language": MAPS["language"]}
-    figure = draw_notes(recording(content, failure=said))
+    figure = draw_notes(recording(content, failure=sentence))
     lines = [text for text in figure.texts if "open(" in text.get_text()]
-    assert [line.get_text() for line in lines] == [said, ">   2  open('/etc/passwd')"]
+    assert [line.get_text() for line in lines] == [sentence, ">   2  open('/etc/passwd')"]
     assert all(line.get_color() == CHOSEN for line in lines)
     assert any("composer: there" in text for text in texts(figure))
     assert any("replay:0123:authored" in text for text in texts(figure))
 
 
-def test_what_is_not_offered_at_a_place_is_a_dot_and_told() -> None:
+def test_what_is_not_offered_at_a_place_is_a_dot_and_explained() -> None:
     elsewhere = {**OPTION, "key_point": 0.65, "corners_px": [[24.0, 30.0]]}
-    said = texts(draw_notes(recording({**OPTIONS, "options": [*OPTIONS["options"], elsewhere]})))
-    assert said.count("·") == 1
-    assert any(text.endswith("outside the workspace") for text in said)
+    sentence = texts(draw_notes(recording({**OPTIONS, "options": [*OPTIONS["options"], elsewhere]})))
+    assert sentence.count("·") == 1
+    assert any(text.endswith("outside the workspace") for text in sentence)
 
 
 def test_options_of_which_none_was_chosen_are_drawn() -> None:
@@ -187,13 +188,13 @@ def test_options_of_which_none_was_chosen_are_drawn() -> None:
 
 
 def test_programs_that_planned_nothing_are_shown_too() -> None:
-    """They go home and touch nobody: the trial ends as it should, and people ask why."""
+    """They go home without contact: the trial ends as it should, and people ask why."""
     programs = [{"role": "planner", "query": "go", "code": 'composer("back to default pose")'}]
     kept = recording({"method": "voxposer", "camera": "overhead", "programs": programs})
     header = kept.header.model_copy(update={"ended": "done", "failure": None})
-    said = texts(draw_notes(Recording(header=header, arrays=kept.arrays)))
-    assert any('composer("back to default pose")' in text for text in said)
-    assert any("voxposer planned no path" in text for text in said)
+    sentence = texts(draw_notes(Recording(header=header, arrays=kept.arrays)))
+    assert any('composer("back to default pose")' in text for text in sentence)
+    assert any("voxposer planned no path" in text for text in sentence)
 
 
 def test_a_recording_without_notes_tells_the_reason_in_one_line() -> None:
@@ -203,16 +204,16 @@ def test_a_recording_without_notes_tells_the_reason_in_one_line() -> None:
 
 
 def test_a_recording_without_such_notes_says_so() -> None:
-    with pytest.raises(ConfigError, match="T1-s000 has no notes to draw: nobody was found"):
-        draw_notes(recording({"method": "voxposer", "ended_because": "nobody was found"}))
+    with pytest.raises(ConfigError, match="T1-s000 has no notes to draw: no person was found"):
+        draw_notes(recording({"method": "voxposer", "ended_because": "no person was found"}))
 
 
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     write_recording(recording(OPTIONS), tmp_path / "T1-s000.h5")
-    assert main(["notes", "T1-s000.h5"]) == 0
+    assert main(["view", "--notes", "T1-s000.h5"]) == 0
     assert Path("notes-T1-s000.png").read_bytes().startswith(b"\x89PNG")
-    assert main(["notes", "T1-s000.h5", "--out", "x.txt"]) == 2
+    assert main(["view", "--notes", "T1-s000.h5", "--out", "x.txt"]) == 2
     assert "a picture ends in" in capsys.readouterr().err
 
 
@@ -308,11 +309,11 @@ def test_what_is_not_in_the_observation_is_not_drawn(view: CameraView) -> None:
     assert titles(observation()) == ["robot's encoders"]
 
 
-def test_nobody_found_is_said(view: CameraView) -> None:
-    nobody = replace(view, landmarks=np.full((33, 3), np.nan, np.float32))
-    figure = draw_sheet(observation(overhead=nobody), title="t")
-    said = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert "nobody found" in said
+def test_no_person_found_is_stated(view: CameraView) -> None:
+    without = replace(view, landmarks=np.full((33, 3), np.nan, np.float32))
+    figure = draw_sheet(observation(overhead=without), title="t")
+    sentence = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert "no person found" in sentence
 
 
 def test_it_is_written(view: CameraView, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import hashlib
 import re
 import subprocess
 import sys
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,11 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.recording import Failure, Header, Recording, read_recording, write_recording
 from carecontact.report.baselines import Baselines, beside_baselines
 from carecontact.report.failures import failure_modes
-from carecontact.report.run_page import FAILURES_SHOWN, same_trials, trials_in_detail, write_report
+from carecontact.report.run_page import FAILURES_SHOWN, render, trials_in_detail, write_report
 from carecontact.report.run_page import Page as RunPage
+from carecontact.report.sections import provenance
 from carecontact.report.sections.failures import crashes
-from carecontact.report.sections.funnel import drawn_beside, funnel, funnel_svg
-from carecontact.report.sections.head import beside_blind, verdict
-from carecontact.report.sections.provenance import NOT_RECORDED, cannot_say, provenance_rows
+from carecontact.report.sections.provenance import NOT_RECORDED, provenance_rows
 from carecontact.report.sections.trials import peak_frame, trial_row
 from carecontact.report.svg import MAX_BYTES, jpeg_data_uri
 from carecontact.runs import score_run
@@ -70,18 +70,27 @@ def write(run: Run, folder: Path, **skipped: str) -> str:
     return write_report(folder, scores=run.scores, recordings=run.read, skipped=skipped).read_text(encoding="utf-8")
 
 
+def text_of(folder: Path, scores: list[TrialScore], **changes: Any) -> str:
+    """Visible text of the page of scores without recordings, in one line."""
+    path = write_report(folder, scores=scores, recordings=_no_recording, skipped={}, **changes)
+    return " ".join(Page(path.read_text(encoding="utf-8")).text.split())
+
+
+def head_of(text: str) -> str:
+    return text.partition("Success passed safely")[0]
+
+
 def test_page_of_seven_trials(run_of_7: Run, tmp_path: Path) -> None:
     text = write(run_of_7, tmp_path)
     page = Page(text)
     assert len(text) < 2_000_000
-    assert "state_machine passed 2 of 7 trials" in page.text
+    assert "state_machine passed 2 of 7 trials safely." in page.text
     assert len(page.all("svg", class_="trace")) == 5
     assert "there is no force to draw: T6 Touch abdomen, seed 0." in " ".join(page.text.split())
     assert "T7 Scrub abdomen, seed 0." in page.text
     for words in (
-        "4 of 7",
-        "3 of 7",
-        "2 of 7",
+        "1 of 4 successes had too much contact outside",
+        "1 of 4 successes exceeded the safety gate",
         "wrist moved 31 mm",
         "stroke 30 mm, extent 10 mm, 1 reversal",
         "pressed for 3.90 s",
@@ -113,7 +122,7 @@ def test_page_shows_what_a_success_rate_hides(run_of_7: Run, tmp_path: Path) -> 
         "Impulse N s 31.4 31.4 31.4 31.4 31.4 NA NA 31.4", "Time above the safety gate s 0.25",
         "Share of contact time deeper than the tissue is valid 0.80", "* from secondary sources",
         "within the safety gate 3 2 above the safety gate 1 0 crashed 1",
-        "6 of 7 trials have a trajectory to score (valid ratio 86 %",
+        "6 of 7 trials had a trajectory to score (valid ratio 86 %",
         "Safety gate, 0.35 of the pain limit 1 of 6", "region-correct, 3", "Contact floor [N] 7 trials",
         "shares are of these 4.",
         "insufficient progress touched, but the touch was too short, the push too small, or the strokes or turns too "
@@ -219,7 +228,7 @@ def test_unreadable_recording_is_named_and_not_fatal(run_of_7: Run, tmp_path: Pa
     page = Page(write(run_of_7, tmp_path))
     assert "scored, but not drawn: T2-s000.h5: truncated <b>here</b>" in page.text
     assert "T2 Push forearm, seed 0; T7 Scrub abdomen, seed 0." in page.text
-    assert "headers of the 6 recordings" in page.text
+    assert "headers of 6 recordings" in page.text
 
 
 def test_bad_frame_is_named_and_not_fatal(run_of_7: Run, tmp_path: Path) -> None:
@@ -243,8 +252,9 @@ def test_page_of_a_scored_folder(tmp_path: Path) -> None:
         skipped=run.skipped,
     )
     page = Page(path.read_text(encoding="utf-8"))
-    assert "Incomplete, 2 of 3 trials have a verdict: state_machine passes between 1 and 2 of 3" in page.text
-    assert page.text.count("23.4 N") == 2
+    assert "state_machine passed 1 to 2 of 3 trials safely." in page.text
+    assert "incomplete: 2 of 3 planned trials have a verdict." in page.text
+    assert "23.4 N on the right forearm at 3.60" in page.text, "the picture agrees with the score"
     assert "not scored: T7-s000.h5" in page.text
     assert str(tmp_path) not in page.text
 
@@ -273,17 +283,17 @@ def test_trials_without_a_verdict_stand_in_a_box_and_leave_every_count_open(run_
     assert "The run is incomplete, 7 of 8 planned trials have a verdict" in page.text
     assert "T1-s001the harness failed: the person <i>still</i> moves\n" in page.text
     assert "line 7" not in page.text
-    said = "Incomplete, 7 of 8 trials have a verdict: state_machine passes between 2 and 3 of 8 on the named region and"
-    assert said in page.text
+    assert "The run is incomplete: 7 of 8 planned trials have a verdict." in page.text
+    assert "state_machine passed 2 to 3 of 8 trials safely." in page.text
     assert page.text.count("7 trials with a verdict, of 8 planned") >= 5, "wherever a count is over them"
-    assert "2 to 3 of 8" in text, "the drawing of the funnel"
+    assert len(page.all("i", class_="bar open")) == 3, "the bars of T1 and of all, and the legend"
     assert re.search(r">7 of 8<.*>2–3/8<", text, re.DOTALL), "the table by task"
     assert "process failure · process" in page.text, "the policy's own stays"
     assert text.count('<td class="num">1</td><td class="num">25 %</td><td>process 1</td>') == 1
     assert failure_modes(run_of_7.scores) == failure_modes(run_of_7.scores[:-1])
-    last = funnel(run_of_7.scores, unknown=1)[-1]
-    assert (last.k, last.n, last.count) == (2, 8, "2 to 3 of 8")
-    assert (last.low, last.high) == (wilson_interval(2, 8).low, wilson_interval(3, 8).high)
+    rate = run_page(run_of_7.scores[:-1], unjudged={"T1-s001": "no recording"}).passed
+    assert (rate.k, rate.n, rate.estimate) == (2, 8, None)
+    assert (rate.low, rate.high) == (wilson_interval(2, 8).low, wilson_interval(3, 8).high)
 
 
 def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
@@ -291,7 +301,7 @@ def test_run_of_harness_errors_alone(tmp_path: Path) -> None:
     add_harness_error(run, "T1", 0)
     add_harness_error(run, "T2", 0)
     page = Page(write(run, tmp_path))
-    assert "The harness failed in both trials, so there is nothing to say about the policy." in page.text
+    assert "The harness failed in every trial, so there is nothing to say about the policy." in page.text
     assert "T1-s000, T2-s000the harness failed: the person" in page.text
     assert "Why trials failed" not in page.text
 
@@ -300,7 +310,7 @@ def test_page_of_a_complete_run_has_no_box(run_of_7: Run, tmp_path: Path) -> Non
     assert Page(write(run_of_7, tmp_path)).all("section", class_="caution harness") == []
 
 
-def test_borrowed_limits_are_said_from_half_of_them_on(tmp_path: Path) -> None:
+def test_borrowed_limits_are_named_from_half_of_them_on(tmp_path: Path) -> None:
     """Pelvis, hand and head have no limit of their own: 21 N is the strictest safety gate."""
     peaks = {"right_forearm": 12.3, "pelvis": 10.5, "right_hand": 10.4, "head": 42.0}
     score = make_score(
@@ -328,52 +338,46 @@ def test_mixed_policies_are_refused_and_leave_no_file(run_of_7: Run, tmp_path: P
 CRASHED = NO_CONTACT | {"ended": "process_failure", "anatomy": "process_failure", "failure_mode": "process_failure"}
 BRUSHED = FAILED | {"ended": "process_failure", "failure_mode": "process_failure"}
 PRESSED = BRUSHED | {"peak_force_n": {"right_forearm": 61.9}, "over_limit": {"right_forearm": 61.9 / 35}}
+PASSED = ("c3_success", "region_correct", "safety_gated")
 OFF, HARD = {"region_correct": False, "safety_gated": False}, {"safety_gated": False}
 
 
 @pytest.mark.parametrize(
-    ("changes", "sentence"),
+    ("changes", "sentences"),
     [
-        ([{}, {}], "passed both trials on the named region and below the safety gate."),
-        ([{}], "passed its only trial on the named region and below the safety gate."),
-        ([FAILED], "did not pass its only trial; it touched the person in 1 of 1."),
-        ([NO_CONTACT, FAILED], "passed none of 2 trials; it touched the person in 1 of 2."),
-        ([{}, FAILED], "passed 1 of 2 trials on the named region and below the safety gate."),
-        ([CRASHED, CRASHED], "crashed in both trials; nothing else can be said about it."),
-        ([CRASHED], "crashed in its only trial; nothing else can be said about it."),
-        ([PRESSED], "crashed in its only trial, after a force above the safety gate."),
-        ([PRESSED, CRASHED], "crashed in both trials, in 1 of them after a force above the safety gate."),
-        ([BRUSHED], "crashed in its only trial, after it touched the person."),
-        ([{}, PRESSED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1, after a "
-                        "force above the safety gate."),
-        ([{}, BRUSHED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1."),
-        ([NO_CONTACT, CRASHED], "passed none of 2 trials; it touched the person in 0 of 2; it crashed in 1."),
-        ([{}, CRASHED], "passed 1 of 2 trials on the named region and below the safety gate; it crashed in 1."),
-        ([HARD, OFF, {}], "gate; of its 3 successes, 1 had too much contact outside the named region and 1 exceeded "
-                          "the safety gate."),
-        ([HARD, FAILED], "passed none of 2 trials on the named region and below the safety gate; of its 1 success, "
-                         "1 exceeded the safety gate."),
+        ([{}, {}], ["passed 2 of 2 trials safely."]),
+        ([{}], ["passed 1 of 1 trial safely."]),
+        ([FAILED], ["passed 0 of 1 trial safely."]),
+        ([NO_CONTACT, FAILED], ["passed 0 of 2 trials safely.", "It touched the person in 1 of 2 trials."]),
+        ([CRASHED, CRASHED], ["The policy crashed in 2 of 2 trials."]),
+        ([PRESSED, CRASHED], ["The policy crashed in 2 of 2 trials, in 1 after a force above the safety gate."]),
+        ([BRUSHED], ["The policy crashed in 1 of 1 trial, in 1 after it touched the person."]),
+        ([{}, CRASHED], ["passed 1 of 2 trials safely.", "The policy crashed in 1 of 2 trials."]),
+        (
+            [HARD, OFF, {}],
+            ["1 of 3 successes had too much contact outside", "1 of 3 successes exceeded the safety"],
+        ),
+        ([HARD, FAILED], ["passed 0 of 2 trials safely.", "1 of 1 success exceeded the safety gate."]),
     ],
-)  # fmt: skip
-def test_verdict(changes: list[dict[str, object]], sentence: str) -> None:
-    scores = [make_score("T1", seed, **change) for seed, change in enumerate(changes)]
-    assert verdict(scores).endswith(sentence)
+)
+def test_verdict(changes: list[dict[str, object]], sentences: list[str], tmp_path: Path) -> None:
+    head = head_of(text_of(tmp_path, [make_score("T1", seed, **change) for seed, change in enumerate(changes)]))
+    assert [sentence for sentence in sentences if sentence not in head] == []
+    assert ("had too much contact" in head) == (OFF in changes)
+    assert ("crashed" in head) == any(change in (CRASHED, PRESSED, BRUSHED) for change in changes)
 
 
 def test_crashes_stand_apart_with_traceback_and_output_one_click_away(run_of_7: Run, tmp_path: Path) -> None:
     page = Page(write(run_of_7, tmp_path))
     text = " ".join(page.text.split())
-    assert "The policy crashed in 1 of 7 trials" in text
-    assert "it crashed in 1." in text
-    assert "No crash" in text
+    assert text.count("The policy crashed in 1 of 7 trials") == 2
     assert "in a cell of its own: it is never within the gate, but a force above a limit before" in text
     details = [tag for tag, _ in page.tags if tag in ("details", "summary", "pre")]
-    assert details == ["details", "summary", "pre"]
+    assert details == ["details", "summary", "pre", "details", "summary"], "the message, and the fold"
     assert f"Whole message of T7-s000{HOSTILE}" in page.text
     run_of_7.scores.pop()
     whole = write(run_of_7, tmp_path)
     assert "crashed in" not in whole
-    assert "No crash" not in whole
 
 
 def test_a_crash_has_a_column_by_task(run_of_7: Run, tmp_path: Path) -> None:
@@ -387,7 +391,7 @@ def test_a_crash_has_a_column_by_task(run_of_7: Run, tmp_path: Path) -> None:
 
 def test_a_run_of_crashes_alone_has_no_tables_of_nothing(run_of_7: Run, tmp_path: Path) -> None:
     left_out = ("Safe, and successful?", "How hard, how long", "How much depends on the gates", "Where contact fell",
-                "Force over time", "At peak force")  # fmt: skip
+                "Force over time")  # fmt: skip
     run_of_7.scores[:] = [s.model_copy(update={"additional": {"impulse@1": 1.0}}) for s in run_of_7.scores]
     whole = write(run_of_7, tmp_path)
     assert [title for title in left_out if title not in whole] == []
@@ -402,8 +406,8 @@ def test_a_run_of_crashes_alone_has_no_tables_of_nothing(run_of_7: Run, tmp_path
 
 
 def test_what_may_help_stands_with_the_crash(tmp_path: Path) -> None:
-    told = {"evidence": "expected finite numbers, got [nan, 1.0]", "failure_message": "expected finite numbers, got"}
-    scores = [make_score("T1", 0, **CRASHED | told)]
+    wording = {"evidence": "expected finite numbers, got [nan, 1.0]", "failure_message": "expected finite numbers, got"}
+    scores = [make_score("T1", 0, **CRASHED | wording)]
     assert [row.hints for row in crashes(scores)] == [
         ("Look for a division by 0 or an unset value in the policy's output.",)
     ]
@@ -413,11 +417,11 @@ def test_what_may_help_stands_with_the_crash(tmp_path: Path) -> None:
     assert [row.trials for row in crashes([*scores, other])] == ["T1-s000, T1-s001"]
 
 
-def test_harm_before_a_crash_is_told_everywhere(run_of_7: Run, tmp_path: Path) -> None:
+def test_harm_before_a_crash_is_explained_everywhere(run_of_7: Run, tmp_path: Path) -> None:
     run_of_7.scores[:] = [make_score("T3", 0, **PRESSED)]
     text = " ".join(re.sub(r"<[^>]+>", " ", write(run_of_7, tmp_path)).split())
     for words in (
-        "crashed in its only trial, after a force above the safety gate", "counts, as in 1 trial here",
+        "crashed in 1 of 1 trial, in 1 after a force above the safety gate", "counts, as in 1 trial here",
         "crashed 1 1 after a force above the safety gate", "Safety gate, 0.35 of the pain limit 1 of 1",
     ):  # fmt: skip
         assert words in text
@@ -436,43 +440,51 @@ def test_harm_before_a_crash_is_told_everywhere(run_of_7: Run, tmp_path: Path) -
     ],
 )
 def test_the_label_of_a_crash_names_what_there_is(message: str, label: str) -> None:
-    told = {"evidence": "the process failed: killed", "failure_message": message}
-    assert [row.held for row in crashes([make_score("T1", 0, **CRASHED | told)])] == [label]
+    wording = {"evidence": "the process failed: killed", "failure_message": message}
+    assert [row.held for row in crashes([make_score("T1", 0, **CRASHED | wording)])] == [label]
 
 
 def test_crashes_of_one_reason_are_one_row() -> None:
     scores = [make_score("T1", seed, **CRASHED | {"evidence": f"reason {seed % 2}"}) for seed in range(4)]
     found = crashes([*scores, make_score("T2", 0)])
     assert [(row.trials, row.first, row.reason) for row in found] == [
-        ("T1-s000, T1-s002", "T1-s000", "reason 0"), ("T1-s001, T1-s003", "T1-s001", "reason 1")
-    ]  # fmt: skip
+        ("T1-s000, T1-s002", "T1-s000", "reason 0"),
+        ("T1-s001, T1-s003", "T1-s001", "reason 1"),
+    ]
 
 
-def test_the_verdict_on_an_unfinished_run_says_so_first() -> None:
-    scores = [make_score("T1", seed) for seed in range(2)]
-    said = verdict(scores, unknown=18)
-    assert said.startswith(
-        "Incomplete, 2 of 20 trials have a verdict: state_machine passes between 2 and 20 of 20 on the named "
+def test_the_bars_are_to_scale_with_floor_ceiling_and_interval(tmp_path: Path) -> None:
+    """79 of 140: 48.2 to 64.4 % (Table V of the paper)."""
+    scores = [make_score("T1", i, **({} if i < 79 else HARD if i < 90 else FAILED)) for i in range(140)]
+    others = beside(scores, of("hover", 35, 140), of("oracle", 140, 140, privileged=True))
+    text = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, baselines=others).read_text()
+    page = Page(text)
+
+    def numbers(name: str) -> list[list[float]]:
+        styles = [str(a["style"]) for a in page.all("i", class_=name) if "style" in a]
+        return [[float(number) for number in re.findall(r"[\d.]+", style)] for style in styles]
+
+    assert numbers("bar gated") == [[pytest.approx(100 * 79 / 140, abs=0.01)]] * 2, "of T1, and of all"
+    assert numbers("bar correct") == [[pytest.approx(100 * 90 / 140, abs=0.01)]] * 2
+    assert numbers("mark floor") == [[25.0]] * 2
+    assert numbers("mark ceiling") == [[100.0]] * 2
+    ((low, width),) = numbers("whisker")
+    assert (low, low + width) == (pytest.approx(48.2, abs=0.1), pytest.approx(64.4, abs=0.1))
+    head = head_of(" ".join(page.text.split()))
+    assert (
+        "passed 79 of 140 trials safely (56 %, 95 % interval 48 to 64 %); floor 35 of 140 (hover), ceiling 140" in head
     )
 
 
-def test_funnel_has_wilson_intervals_to_scale() -> None:
-    """79 of 140: 48.2 to 64.4 % (Table V of the paper)."""
-    scores = [make_score("T1", i) for i in range(79)] + [make_score("T1", i, **FAILED) for i in range(79, 140)]
-    step = funnel(scores)[2]
-    assert (step.k, step.n) == (79, 140)
-    assert (100 * step.low, 100 * step.high) == (pytest.approx(48.2, abs=0.1), pytest.approx(64.4, abs=0.1))
-    svg = funnel_svg(funnel(scores))
-    rail = float(re.findall(r'class="rail" [^>]*width="([\d.]+)"', svg)[2])
-    bar = float(re.findall(r'class="bar bar2" [^>]*width="([\d.]+)"', svg)[0])
-    assert bar / rail == pytest.approx(79 / 140, abs=1e-3)
+def run_page(scores: list[TrialScore], **changes: Any) -> RunPage:
+    base: dict[str, Any] = {"skipped": {}, "unjudged": {}, "baselines": None, "lost_baselines": {}}
+    return RunPage(folder=Path(), scores=scores, judged=scores, shown=scores, **base | changes)
 
 
 def caveats(scores: list[TrialScore], headers: list[Header], **changes: Any) -> dict[str, str]:
-    base: dict[str, Any] = {"skipped": {}, "unjudged": {}, "baselines": None, "lost_baselines": {}}
-    named = {header.spec.trial_id: header for header in headers}
-    page = RunPage(folder=Path(), scores=scores, judged=scores, shown=scores, headers=named, **base | changes)
-    return dict(cannot_say(page))
+    page = run_page(scores, headers={header.spec.trial_id: header for header in headers}, **changes)
+    text = render("caveats.html.j2", **provenance.caveats(page))
+    return {topic: unescape(sentence) for topic, sentence in re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", text)}
 
 
 def test_the_bodies_are_those_that_were_drawn_and_not_the_protocols_own(run_of_7: Run) -> None:
@@ -485,18 +497,27 @@ def test_the_bodies_are_those_that_were_drawn_and_not_the_protocols_own(run_of_7
     assert "man-adult" not in body
 
 
+def test_trials_whose_tool_went_through_the_skin_are_named(run_of_7: Run) -> None:
+    headers = [r.header for r in run_of_7.recordings.values()]
+    through = [run_of_7.scores[0].model_copy(update={"skin_in_tool": 1.2}), *run_of_7.scores[1:]]
+    text = caveats(through, headers)["Tool gone through the skin"]
+    assert text.startswith("In 1 trial, ")
+    assert through[0].trial_id in text
+    assert "Tool gone through the skin" not in caveats(run_of_7.scores, headers)
+
+
 def test_caveats_come_from_the_run(run_of_7: Run) -> None:
     headers = [r.header for r in run_of_7.recordings.values()]
-    said = caveats(run_of_7.scores, headers, skipped={"T1-s008.h5": "damaged", "T1-s009.h5": "damaged"})
-    assert said["n = 7"].startswith("2 safety-gated passes of 7, with fewer than 6 seeds: too few for an interval")
+    sentence = caveats(run_of_7.scores, headers, skipped={"T1-s008.h5": "damaged", "T1-s009.h5": "damaged"})
+    assert sentence["n = 7"].startswith("2 safety-gated passes of 7, with fewer than 6 seeds: too few for an interval")
     many = caveats([make_score(task, seed) for task in ("T1", "T2") for seed in range(6)], headers)
     assert many["n = 12"].startswith("12 safety-gated passes of 12 are compatible with any true rate from 76\xa0%")
     assert "each task has only 6 trials." in many["n = 12"]
-    assert "man-adult" in said["One body"]
-    assert "45–60°; in the recordings read it was 46.0°" in said["What seeds change"]
-    assert "In 2 of 5 trials" in said["Extrapolated tissue"]
-    assert said["Files left out"].startswith("2 files could")
-    assert "--baseline" in said["No blind baselines"]
+    assert "man-adult" in sentence["One body"]
+    assert "45–60°; in the recordings read it was 46.0°" in sentence["What seeds change"]
+    assert "In 2 of 5 trials" in sentence["Extrapolated tissue"]
+    assert sentence["Files left out"].startswith("2 files could")
+    assert "--baseline" in sentence["No blind baselines"]
     absent = {f"T1-s{seed:03d}": "no recording" for seed in range(1, 13)}
     few = caveats(run_of_7.scores, headers, unjudged=absent)
     assert few["n = 19"].startswith("2 to 14 safety-gated passes of 19, with fewer than 6 seeds")
@@ -505,15 +526,15 @@ def test_caveats_come_from_the_run(run_of_7: Run) -> None:
         for k, score in enumerate(run_of_7.scores)
     ]
     assert "arithmetic: kernel 0 and kernel 1" in caveats(haswell, headers)["Several machines"]
-    assert "Several machines" not in said
+    assert "Several machines" not in sentence
     protocol = headers[0].spec.protocol.model_copy(update={"frozen": True})
     frozen = headers[0].model_copy(update={"spec": headers[0].spec.model_copy(update={"protocol": protocol})})
-    assert "Draft protocol" in said
+    assert "Draft protocol" in sentence
     assert "Draft protocol" not in caveats(run_of_7.scores, [frozen])
     assert "where the tissue is valid" in caveats([make_score("T1", 0)], [])["Extrapolated tissue"]
 
 
-def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has_it(run_of_7: Run) -> None:
+def test_what_the_person_does_and_what_seeds_draw_is_stated_for_a_protocol_that_has_it(run_of_7: Run) -> None:
     header = next(iter(run_of_7.recordings.values())).header
 
     def of(protocol: Protocol) -> dict[str, str]:
@@ -529,15 +550,15 @@ def test_what_the_person_does_and_what_seeds_draw_is_said_of_a_protocol_that_has
     assert "A person who moves" not in of(load_protocol("bathing-v3-draft"))
 
 
-def test_less_isolation_than_there_is_and_opened_files_are_said(run_of_7: Run) -> None:
-    def said(*reached: str) -> str | None:
+def test_less_isolation_than_there_is_and_opened_files_are_stated(run_of_7: Run) -> None:
+    def sentence(*reached: str) -> str | None:
         kept = {"caveats": {f"T1-s{n:03}": text for n, text in enumerate(reached)}}
         return caveats(run_of_7.scores, [], kept=kept).get("Isolation")
 
-    assert said("full: namespaces and Landlock", "full") is None
-    none = said("full", "none: this system has no Landlock") or ""
+    assert sentence("full: namespaces and Landlock", "full") is None
+    none = sentence("full", "none: this system has no Landlock") or ""
     assert "not fully isolated from the benchmark (none: this system has no Landlock)" in none
-    opened = said("full; --policy-read /data") or ""
+    opened = sentence("full; --policy-read /data") or ""
     assert "(--policy-read /data)" in opened
     assert "not fully" not in opened
 
@@ -568,7 +589,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("force", "changes", "told"),
+    ("force", "changes", "wording"),
     [
         (0.0, NO_CONTACT, "nothing touched; the tip of the tool came to 0 mm from the region, seed 0"),
         (
@@ -579,19 +600,19 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
         (7.25, {"c1_peak_force_n": 7.25}, "7.2 N on the right forearm at 0.00"),
     ],
 )
-def test_what_the_frame_at_peak_force_shows(force: float, changes: dict[str, Any], told: str) -> None:
+def test_what_the_frame_at_peak_force_shows(force: float, changes: dict[str, Any], wording: str) -> None:
     stored = {"report/peak_rgb": np.zeros((4, 4, 3), np.uint8), "report/peak_time_s": np.array([1.5])}
     base = make_recording("T1", 0, {"right_forearm": np.full(1500, force)}, duration_s=3)
     frame = peak_frame(make_score("T1", 0, **changes), Recording(header=base.header, arrays=base.arrays | stored))
     assert frame is not None
-    assert frame.text.startswith(told)
+    assert frame.text.startswith(wording)
 
 
 def test_evidence_that_holds_the_failure_is_shown_once() -> None:
     detail = trial_row(
         make_score("T1", 0, **NO_CONTACT, failure_message="lost\nthe grip", evidence="It failed: lost the grip."), None
     )
-    assert detail.evidence == "It failed: lost the grip."
+    assert [text for _, text in detail.notes] == ["It failed: lost the grip."]
 
 
 def test_frame_is_a_small_jpeg_even_of_noise() -> None:
@@ -630,136 +651,102 @@ def test_importing_reports_loads_no_simulator_and_no_heavy_library() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_a_page_without_blind_replay_says_how_to_get_it(tmp_path: Path) -> None:
-    scores = [make_score("T1", 0)]
-    path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
-    text = Page(path.read_text()).text
-    assert "None are kept. These commands tell whether" in text
-    assert f"carecontact report {tmp_path} --baseline {tmp_path}-replay" in text.partition("From success to safe")[0]
-
-
-def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Path) -> None:
-    scores = [make_score("T1", seed, policy="replay") for seed in range(2)]
-    path = write_report(tmp_path, scores=scores, recordings=_no_recording, skipped={}, kept_scores="None are kept.")
-    text = Page(path.read_text()).text
-    assert "replay is a blind baseline, which lacks what the tasks require" in text
-    assert "These commands tell" not in text
-    assert "Run zero-action, hover, random, replay-registered and mean-person with" in text
+def _no_recording(trial_id: str) -> Recording:
+    raise RecordingError(trial_id)
 
 
 def beside(method: list[TrialScore], *others: list[TrialScore]) -> Baselines:
     return beside_baselines(RunScores(scores=method), [], kept=[RunScores(scores=scores) for scores in others])
 
 
-def test_without_blind_replay_the_best_blind_baseline_stands_in_the_head(tmp_path: Path) -> None:
-    def run(policy: str, passed: int, **arguments: str) -> list[TrialScore]:
-        return [
-            make_score("T1", seed, policy=policy, policy_arguments=arguments, **({} if seed < passed else FAILED))
-            for seed in range(8)
-        ]
-
-    method = run("mine", 8)
-    others = (run("hover", 0), run("mean-person", 2, person="bathing-wide-L2"), run("mean-person", 1, person="other"))
-    path = write_report(
-        tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, *others)
-    )
-    text = Page(path.read_text()).text
-    said = "On the 8 trials that both have, mine passed 8 and the best blind baseline, mean-person, 2. The difference, "
-    assert f"{said}75 points" in text
-    assert "mean-person (1) 2/8" in text
-    assert "mean-person (2) 1/8" in text
-    assert (
-        "Whole names: mean-person (1): mean-person person=bathing-wide-L2; mean-person (2): mean-person person=other."
-        in text
-    )
+def of(policy: str, passed: int, n: int = 8, **changes: Any) -> list[TrialScore]:
+    """Trials of T1 of which the first ones pass."""
+    return [make_score("T1", seed, policy=policy, **changes | ({} if seed < passed else FAILED)) for seed in range(n)]
 
 
-def test_the_head_names_the_best_blind_baseline_and_not_a_weaker_replay() -> None:
-    def run(policy: str, passed: int) -> list[TrialScore]:
-        return [make_score("T1", seed, policy=policy, **({} if seed < passed else FAILED)) for seed in range(8)]
-
-    said = beside_blind(beside(run("mine", 6), run("replay", 1), run("mean-person", 5)))
-    assert "mine passed 6 and the best blind baseline, mean-person, 5. " in said
-    assert "does not show which is better" in said
+def test_a_page_without_a_floor_says_so_and_how_to_get_it(tmp_path: Path) -> None:
+    head = head_of(text_of(tmp_path, [make_score("T1", 0)], kept_scores="None are kept."))
+    assert "No floor or ceiling stands beside this run. None are kept. These commands show whether" in head
+    assert f"carecontact report {tmp_path} --baseline {tmp_path}-replay" in head
 
 
-def test_a_success_above_the_safety_gate_is_no_failure_and_is_told(tmp_path: Path) -> None:
+def test_the_page_of_a_blind_baseline_does_not_set_it_beside_itself(tmp_path: Path) -> None:
+    text = text_of(tmp_path, of("replay", 2, 2), kept_scores="None are kept.")
+    assert "replay is a blind baseline, which lacks what the tasks require" in text
+    assert "These commands show" not in text
+    assert "Run zero-action, hover, random, replay-registered and mean-person with" in text
+
+
+def test_the_head_names_the_best_blind_baseline_and_the_difference(tmp_path: Path) -> None:
+    persons = [{"policy_arguments": {"person": name}} for name in ("bathing-wide-L2", "other")]
+    others = (of("hover", 0), of("mean-person", 2, **persons[0]), of("mean-person", 1, **persons[1]))
+    text = text_of(tmp_path, of("mine", 8), baselines=beside(of("mine", 8), *others))
+    assert "floor 2 of 8 (mean-person (1))." in head_of(text)
+    assert "No ceiling stands beside this run." in head_of(text)
+    both = "On the 8 trials that both have, mine passed 8 and the best blind baseline, mean-person, 2. The difference, "
+    assert f"{both}75 points" in text
+    assert "shows that mine is better" in text
+    assert "mean-person (1)mean-person person=bathing-wide-L2" in text, "the table of other policies"
+    text = text_of(tmp_path, of("mine", 6), baselines=beside(of("mine", 6), of("replay", 1), of("mean-person", 5)))
+    assert "mine passed 6 and the best blind baseline, mean-person, 5. " in text
+    assert "does not show which is better" in text
+
+
+def test_the_head_leads_with_the_trials_that_both_have(tmp_path: Path) -> None:
+    """The other policy has 20 trials and passes 9, one of them among the three of the run."""
+    method = [make_score("T1", seed, policy="mine", **({} if seed else FAILED)) for seed in range(3)]
+    passes = range(2, 11)
+    replay = [make_score("T1", seed, policy="replay", **({} if seed in passes else FAILED)) for seed in range(20)]
+    head = head_of(text_of(tmp_path, method, baselines=beside(method, replay)))
+    assert "On the 3 trials that both have, mine passed 2 and the best blind baseline, replay, 1." in head
+    assert "Fewer than six seeds give no interval and do not show which is better." in head
+    assert "replay passed 9 of all 20 trials of these tasks that it has." in head
+    elsewhere = [score.model_copy(update={"seed": score.seed + 50}) for score in replay]
+    text = text_of(tmp_path, method, baselines=beside(method, elsewhere))
+    assert "The best blind baseline, replay, passed 9 of 20 other trials; mine 2 of 3." in head_of(text)
+    assert "floor 9 of 20 (replay, other seeds)" in head_of(text)
+    assert "unpaired" in text, "the table of other policies"
+
+
+def test_the_table_of_other_policies_has_every_step_of_every_task(tmp_path: Path) -> None:
+    method = [make_score(task, 0, policy="mine") for task in ("T1", "T2")]
+    others = beside(method, [make_score("T1", 0, policy="replay", safety_gated=False)])
+    text = text_of(tmp_path, method, baselines=others)
+    table = text.partition("By task: success, region-correct, safety-gated")[2]
+    assert "mine1 1 1 of 11 1 1 of 1 replay1 1 0 of 1–" in table
+
+
+def test_a_success_above_the_safety_gate_is_no_failure_and_is_named(tmp_path: Path) -> None:
     unsafe = make_score("T1", 0, safety_gated=False, over_limit={"right_forearm": 1.5})
-    path = write_report(tmp_path, scores=[unsafe], recordings=_no_recording, skipped={})
-    said = "No trial failed: every one succeeded on the named region. But 1 of 1 trial did not"
-    assert said in Page(path.read_text()).text
+    text = text_of(tmp_path, [unsafe])
+    assert "No trial failed: every one succeeded on the named region. But 1 of 1 trial did not pass safely" in text
 
 
-def test_a_joint_beyond_its_range_and_a_flag_are_told(tmp_path: Path) -> None:
+def test_a_joint_beyond_its_range_and_a_flag_are_shown(tmp_path: Path) -> None:
     evidence = "The right elbow was 0.150 rad beyond its range at 3.000 s; the protocol allows 0.087 rad."
     score = make_score(
         "T1", 0, safety_gated=False, joints_beyond={"right_elbow": 0.15}, joints_consumed={"right_elbow": 2.5},
         failure_mode="joint_beyond_range", attribution="safety", evidence=evidence,
     )  # fmt: skip
-    path = write_report(tmp_path, scores=[score], recordings=_no_recording, skipped={})
-    text = Page(path.read_text()).text
-    assert evidence in text
-    assert "joint too far" in text
-    assert "right elbow 250\N{NO-BREAK SPACE}%" in text
-    assert "a joint beyond the protocol's limit: 1 of 1" in text
-    assert "succeeded and moved a joint too far beyond its range" in text
+    text = text_of(tmp_path, [score])
+    for words in (
+        evidence,
+        "joint too far",
+        "right elbow 250 %",
+        "a joint beyond the protocol's limit: 1 of 1",
+        "succeeded on the named region, but moved a joint farther beyond its range",
+    ):
+        assert words in text
 
 
-def _no_recording(trial_id: str) -> Recording:
-    raise RecordingError(trial_id)
-
-
-def test_the_head_leads_with_the_trials_that_both_have() -> None:
-    """The other policy has 20 trials and passes 9, one of them among the three of the run."""
-    method = [make_score("T1", seed, policy="mine", **({} if seed else FAILED)) for seed in range(3)]
-    passes = range(2, 11)
-    replay = [make_score("T1", seed, policy="replay", **({} if seed in passes else FAILED)) for seed in range(20)]
-    said = beside_blind(beside(method, replay))
-    assert said.startswith(
-        "On the 3 trials that both have, mine passed 2 and blind replay, which looks at nothing, 1. "
-    )
-    assert said.endswith(" Blind replay passed 9 of all 20 trials of these tasks that it has.")
-    assert " of 20" not in said
-    elsewhere = [score.model_copy(update={"seed": score.seed + 50}) for score in replay]
-    assert beside_blind(beside(method, elsewhere)).startswith(
-        "Blind replay, which looks at nothing, passed 9 of 20 other trials; mine 2 of 3."
-    )
-
-
-def test_by_task_says_where_replay_has_no_trials(tmp_path: Path) -> None:
-    method = [make_score(task, 0, policy="mine") for task in ("T1", "T2")]
-    others = beside(method, [make_score("T1", 0, policy="replay")])
-    path = write_report(tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=others)
-    text = Page(path.read_text()).text
-    assert "replay: no trials here" in text
-    assert "passed nothing there, or has no trials there." in text
-    assert "0/0" not in text
-
-
-def test_the_funnel_draws_four_other_policies_at_most_and_names_the_rest(tmp_path: Path) -> None:
-    def run(policy: str, seeds: range, passed: int) -> list[TrialScore]:
-        return [make_score("T1", seed, policy=policy, **({} if seed < passed else FAILED)) for seed in seeds]
-
-    method = run("mine", range(3), 2)
-    names = ("zero-action", "hover", "mean-person", "replay", "voxposer", "state-machine", "oracle")
-    others = beside(method, *(run(name, range(3), 3 if name == "hover" else 1) for name in names))
-    assert [row.policy for row in drawn_beside(others)] == ["hover", "replay", "state-machine", "oracle"]
-    assert len(drawn_beside(beside(method, run("replay", range(3), 1)))) == 1
-    path = write_report(tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=others)
-    text = Page(path.read_text()).text
-    assert "the thin bars under it are other policies in the same trials. " in text
-    assert "table of baselines has 3 further policies." in text
-
-
-def test_policies_with_other_seeds_are_not_said_to_have_the_same_trials(tmp_path: Path) -> None:
-    method = [make_score("T1", 1, policy="mine")]
-    elsewhere = [make_score("T1", seed, policy="replay") for seed in (4, 5)]
-    assert same_trials(beside(method, elsewhere).baselines, 1) == "with other seeds: they have none of these trials"
-    both = beside(method, elsewhere, [make_score("T1", 1, policy="hover")]).baselines
-    assert same_trials(both, 1).endswith("or, having none of these trials, with other seeds (replay)")
-    path = write_report(
-        tmp_path, scores=method, recordings=_no_recording, skipped={}, baselines=beside(method, elsewhere)
-    )
-    text = Page(path.read_text()).text
-    assert "in the same trials" not in text
-    assert "replay (other seeds)" in text
+def test_a_policy_that_touched_nobody_is_shown_by_how_near_it_came(tmp_path: Path) -> None:
+    """The tool is above the middle of the region, at the nearest 30 mm from its surface, after 0.5 s."""
+    run, missed = Run(), {"failure_mode": "no_target_contact", "attribution": "planning"}
+    recording = make_recording("T1", 0, {}, duration_s=1)
+    recording.arrays["scorer/pose_tcp_in_world"][:, 2] = 0.08 + np.abs(np.arange(500) - 249) * 1e-4
+    run.add(make_score("T1", 0, **NO_CONTACT | missed), recording)
+    text = " ".join(Page(write(run, tmp_path)).text.split())
+    assert "It came nearest in T1-s000: 30 mm from the named region, at 0.5 s." in text
+    assert "no valid contact; nearest 30 mm from the region, at 0.5 s" in text
+    assert " NA " not in text
+    assert "How hard, how long" not in text

@@ -20,14 +20,13 @@ from carecontact.report.sweep_texts import (
     as_csv,
     as_markdown,
     factor_rows,
-    flip_heads,
     flip_rows,
     gate_rows,
     gate_titles,
     level_rows,
+    level_tables,
     provenance,
     sentences,
-    spread_heads,
     spread_rows,
 )
 from carecontact.runs.sweep import ALL, AXIS, NONE, only_factor, without_factor
@@ -241,8 +240,8 @@ def test_the_page_says_what_decided_its_numbers_and_where_each_run_is() -> None:
         assert value in page
     assert '<a href="a/">a</a>' in page
     assert "| `a` |" in text
-    for told in (page, text):
-        assert "–" not in told
+    for wording in (page, text):
+        assert "–" not in wording
 
 
 def test_levels_of_one_protocol_are_the_ladder() -> None:
@@ -271,9 +270,7 @@ def band_cell(name: str, body: str, peaks: Sequence[float], *, fails: Sequence[i
         make_score("T1", seed, policy=name, c1_peak_force_n=peak, **(FAILED if seed in fails else {}))
         for seed, peak in enumerate(peaks)
     ]
-    return CellScores(
-        label=name, values={"body": body}, folder=f"{name}_{body}", planned=len(scores), scores=scores
-    )  # fmt: skip
+    return CellScores(label=name, values={"body": body}, folder=f"{name}_{body}", planned=len(scores), scores=scores)
 
 
 def drawn(cells: Sequence[CellScores]) -> Bands:
@@ -282,18 +279,26 @@ def drawn(cells: Sequence[CellScores]) -> Bands:
     return found
 
 
+def heads_of(title: str, cells: Sequence[CellScores]) -> Sequence[str]:
+    tables = level_tables(sweep_table("x", cells, rank_by="safety_gated"))
+    return next(heads for name, heads, _ in tables if name == title)
+
+
 def column(heads: Sequence[str], rows: Sequence[Sequence[str]], name: str) -> Mapping[str, str]:
     return {row[0]: row[list(heads).index(name)] for row in rows}
 
 
 def test_a_band_is_over_all_draws_of_a_policy() -> None:
-    found = drawn([band_cell("a", "thin", range(1, 12)), band_cell("a", "heavy", range(12, 22), fails=[0])])
+    cells = [band_cell("a", "thin", range(1, 12)), band_cell("a", "heavy", range(12, 22), fails=[0])]
+    found = drawn(cells)
     (one,) = found.spreads
     assert (one.passed, one.n) == (20, 21)
     band = one.bands["C1@1"]
     assert band is not None
     assert (band.n, band.low, band.median, band.high) == (21, 2.0, 11.0, 20.0)
-    assert column(spread_heads(), spread_rows(found, {"a": "a"}), "C1 [N]")["a"].startswith("11.00 [2.00 to 20.00]")
+    assert column(heads_of("Spread over the draws", cells), spread_rows(found, {"a": "a"}), "C1 [N]")["a"].startswith(
+        "11.00 [2.00 to 20.00]"
+    )
 
 
 def test_flips_are_the_draws_that_go_against_the_order_over_all() -> None:
@@ -304,7 +309,12 @@ def test_flips_are_the_draws_that_go_against_the_order_over_all() -> None:
     ]  # fmt: skip
     (pair,) = drawn(cells).flips
     assert (pair.a, pair.b, pair.by["C1@1"], pair.by["passed"]) == ("a", "b", (1, 4), (0, 4))
-    assert column(flip_heads(), flip_rows(drawn(cells)), "C1")["a - b"].replace("\xa0", " ") == "1/4 (25 %)"
+    assert (
+        column(heads_of("Draws in which two policies change places", cells), flip_rows(drawn(cells)), "C1")[
+            "a - b"
+        ].replace("\xa0", " ")
+        == "1/4 (25 %)"
+    )
 
 
 def test_equal_policies_have_no_order_to_flip() -> None:
@@ -314,8 +324,8 @@ def test_equal_policies_have_no_order_to_flip() -> None:
 def test_one_draw_has_no_band_and_levels_are_no_draws() -> None:
     assert bands([band_cell("a", "thin", [2])], "safety_gated", ranked=["a"]) is None
     assert sweep_table("x", levels(a=("++", "+-"), b=("++", "--")), rank_by="safety_gated").bands is None
-    told = as_markdown(sweep_table("x", [band_cell("a", "thin", [2, 3])], rank_by="safety_gated"))
-    assert "## Spread over the draws" in told
+    wording = as_markdown(sweep_table("x", [band_cell("a", "thin", [2, 3])], rank_by="safety_gated"))
+    assert "## Spread over the draws" in wording
 
 
 def trials(name: str, passed: str) -> list[TrialScore]:
@@ -387,7 +397,7 @@ def test_the_table_has_a_row_for_each_cell_and_says_what_lacks() -> None:
     cells = [
         CellScores(label=name, values={"body": body}, folder="cells/x", planned=2, scores=trials(name, marks))
         for body, name, marks in (("x", "a", "++"), ("x", "b", "+-"), ("y", "a", "-+"), ("y", "b|c", ""))
-    ]  # fmt: skip
+    ]
     table = sweep_table("bodies", cells, rank_by="safety_gated")
     assert (table.axes, table.policies, table.unfinished) == (("body",), ("a", "b", "b|c"), 1)
     assert sentences(table)[1].startswith(

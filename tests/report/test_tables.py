@@ -9,7 +9,7 @@ import pyarrow as arrow  # pyright: ignore[reportMissingTypeStubs]
 import pyarrow.parquet as parquet  # pyright: ignore[reportMissingTypeStubs]
 import pytest
 
-from carecontact.cli.score import write_table
+from carecontact.cli.publish import write_table
 from carecontact.errors import ConfigError, DependencyError
 from carecontact.report.tables import POOLED, columns, limit_rows, load, summary_rows
 from carecontact.report.trial_table import TABLE_NAME, metric_column, trial_table, write_trial_table
@@ -254,8 +254,8 @@ def test_without_a_trial_the_columns_stay(tmp_path: Path) -> None:
 
 def test_every_column_is_in_the_docs_and_no_other() -> None:
     section = PAGE.partition("## The table")[2].partition("\n## ")[0]
-    told = set(re.findall(r"`([a-z0-9_]+)`", section.partition("\n|")[2]))
-    assert told == {c.name for c in trial_table_columns([make_score("T1", 0, additional=FURTHER)])}
+    wording = set(re.findall(r"`([a-z0-9_]+)`", section.partition("\n|")[2]))
+    assert wording == {c.name for c in trial_table_columns([make_score("T1", 0, additional=FURTHER)])}
 
 
 @pytest.mark.parametrize(

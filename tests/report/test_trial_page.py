@@ -7,18 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from carecontact.cli.report import policies_beside
+from carecontact.cli.publish import policies_beside
 from carecontact.errors import RecordingError
 from carecontact.interface.policy import PolicyCard
 from carecontact.recording.schema import Failure, Recording
-from carecontact.report.force_trace import force_trace
-from carecontact.report.looks import card_rows, not_shown_text
+from carecontact.report.looks import card_rows, sent_views
+from carecontact.report.run_page import render
 from carecontact.report.skin_view import FOOT, noted_targets, paths
-from carecontact.report.svg import inside
-from carecontact.report.timeline import Event, events, panels_of, ticks, timeline_svg
+from carecontact.report.timeline import Event, events
 from carecontact.report.trial_page import Beside, how_to_compare, other_rows, write_trial_page
 from carecontact.runs.pooling import RunScores
 from carecontact.runs.scoring import read_scores
@@ -40,7 +37,7 @@ def written(folder: Path, recording: Recording, score: TrialScore | None = None)
 
 def test_the_page_says_what_happened_how_hard_and_where(tmp_path: Path) -> None:
     text, words = written(tmp_path, whole_trial())
-    for told in (
+    for wording in (
         "T1 Touch forearm, seed 0, passed, on the right forearm and below the safety gate.",
         "Peak force 20.0 N", "57 % of its safety gate of 35 N", "pain limit of 100 N",
         "30 mm toward the hand from the middle of the region", "6.0 mm at that moment; at most 6.0 mm in the trial",
@@ -52,7 +49,7 @@ def test_the_page_says_what_happened_how_hard_and_where(tmp_path: Path) -> None:
         "Seen from the side: along the skin", "Up is away from the bone",
         "gate of touch met", "target that the policy noted",
     ):  # fmt: skip
-        assert told in words
+        assert wording in words
     assert HOSTILE not in text
     assert text.count('class="moment"') == 1
     assert StrictReader(text).faults == []
@@ -71,15 +68,16 @@ def test_what_the_person_did_and_the_cut_are_events() -> None:
     failure = Failure(kind="force", message="201 N on chest, cut at 200 N")
     recording = whole_trial(ended="safety_truncation", failure=failure)
     arrays = {
-        "scorer/withdrawal_s": np.array([4.0, -1.0, -1.0]), "scorer/repositioning_s": np.array([5.0, 50.0]),
+        "scorer/withdrawal_s": np.array([4.0, -1.0, -1.0]),
+        "scorer/repositioning_s": np.array([5.0, 50.0]),
         "scorer/repositioning_rad": np.radians([-10.0, 5.0]),
-    }  # fmt: skip
+    }
     recording.arrays.update(arrays)
-    told = [(round(event.time_s, 1), event.text) for event in events(find_contact(recording))]
-    assert (4, "the person withdraws the arm") in told
-    assert (4.9, "the person begins to turn the arm by 10° toward the trunk") in told, "muscles tense 0.1 s before"
-    assert told[-1] == (12, "cut by the benchmark: 201 N on chest, cut at 200 N")
-    assert len(told) == 6, "what would have come after the end did not happen"
+    wording = [(round(event.time_s, 1), event.text) for event in events(find_contact(recording))]
+    assert (4, "the person withdraws the arm") in wording
+    assert (4.9, "the person begins to turn the arm by 10° toward the trunk") in wording, "muscles tense 0.1 s before"
+    assert wording[-1] == (12, "cut by the benchmark: 201 N on chest, cut at 200 N")
+    assert len(wording) == 6, "what would have come after the end did not happen"
 
 
 def test_paths_are_in_the_frame_of_the_region() -> None:
@@ -137,9 +135,9 @@ def test_a_miss_shows_the_region_and_the_tool_in_one_picture_and_has_no_empty_pa
     corners += [(float(tool[1]), float(tool[2])), (float(tool[3]), float(tool[4]))]
     assert all(0 <= x <= 460 and 0 <= y <= 300 for x, y in corners)
     assert (tool[1], tool[2]) == (gap[1], gap[2])
-    said = re.search(r"the tip of the tool came to (\d+) mm from the region", words)
-    assert said
-    assert f">{said[1]} mm<" in found[0]
+    sentence = re.search(r"the tip of the tool came to (\d+) mm from the region", words)
+    assert sentence
+    assert f">{sentence[1]} mm<" in found[0]
     for absent in ("Force [N]", "Indentation of the region", "in contact", "contact window"):
         assert absent not in words
     assert "The robot pressed nothing, so that there is no force and no indentation to draw." in words
@@ -179,7 +177,7 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "sentence"),
     [
         ({"safety_gated": False}, "succeeded on the right forearm, but exceeded the safety gate."),
         ({"safety_gated": False, "joints_beyond": {"right_elbow": 0.15}, "failure_mode": "joint_beyond_range"},
@@ -196,8 +194,8 @@ def test_an_earlier_recording_has_a_page(tmp_path: Path) -> None:
         ({"ended": "harness_error"}, "counts for nothing: the harness failed, and not the policy."),
     ],
 )  # fmt: skip
-def test_the_heading(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
-    assert said in written(tmp_path, whole_trial(), make_score("T1", 0, **changes))[1]
+def test_the_heading(changes: dict[str, Any], sentence: str, tmp_path: Path) -> None:
+    assert sentence in written(tmp_path, whole_trial(), make_score("T1", 0, **changes))[1]
 
 
 def faint(level: float) -> Recording:
@@ -206,7 +204,7 @@ def faint(level: float) -> Recording:
     return make_recording("T2", 0, {"right_forearm": press}, duration_s=12)
 
 
-def test_a_press_that_does_not_count_is_told_and_not_denied(tmp_path: Path) -> None:
+def test_a_press_that_does_not_count_is_named_and_not_denied(tmp_path: Path) -> None:
     _, words = written(tmp_path, faint(0.3))
     assert "The robot pressed the right forearm for 6." in words
     assert "with at most 0.3 N; contact counts from 0.5 N." in words
@@ -219,13 +217,13 @@ def test_a_press_that_does_not_count_is_told_and_not_denied(tmp_path: Path) -> N
 def test_a_failed_push_shows_its_gate_beside_what_it_reached(tmp_path: Path) -> None:
     """2 N for six seconds are contact, and no push; the wrist stays."""
     text, words = written(tmp_path, faint(2.0))
-    for told in (
+    for wording in (
         "Pressed with at least 3 N without interruption 1 s 0.00 s (largest force 2.0 N) missed",
         "Distance the wrist moved while the arm is touched at least 20 mm 0.0 mm missed",
         "Contact that counts, from 0.5 N 0.05 s in all 5.",
         "Safety gate: largest force on the right forearm at most 35 N 2.0 N met",
     ):
-        assert told in words
+        assert wording in words
     assert "missed" not in written(tmp_path, whole_trial())[1]
     assert StrictReader(text).faults == []
 
@@ -248,7 +246,7 @@ def test_metrics_of_other_actions_are_folded_away(tmp_path: Path) -> None:
         assert title not in own
 
 
-def test_a_crash_is_told_with_its_reason_where_and_why_nothing_was_printed(tmp_path: Path) -> None:
+def test_a_crash_is_explained_with_its_reason_where_and_why_nothing_was_printed(tmp_path: Path) -> None:
     message = "policy failed at act: Traceback (most recent call last):\n  File x\nValueError: no forearm in it"
     recording = whole_trial(ended="process_failure", failure=Failure(kind="exception", message=message))
     recording.arrays["wall/policy_output"] = np.zeros(0, "u1")
@@ -259,10 +257,10 @@ def test_a_crash_is_told_with_its_reason_where_and_why_nothing_was_printed(tmp_p
     assert "The policy printed nothing." in words
     assert "a trial that broke off passes none, whatever it reached before" in words
     assert "Safety gate: largest force on the right forearm at most 35 N 20.0 N met" in words
-    nobody = whole_trial(ended="process_failure", failure=Failure(kind="exception", message=message), touched=False)
-    assert "What the trial needed" not in written(tmp_path, nobody)[1]
+    untouched = whole_trial(ended="process_failure", failure=Failure(kind="exception", message=message), touched=False)
+    assert "What the trial needed" not in written(tmp_path, untouched)[1]
     del recording.arrays["wall/policy_output"]
-    assert "The recording does not say what the policy printed." in written(tmp_path, recording)[1]
+    assert "The recording does not contain what the policy printed." in written(tmp_path, recording)[1]
     spec = recording.header.spec.model_copy(update={"policy": "ws://127.0.0.1:8765"})
     afar = replace(recording, header=recording.header.model_copy(update={"spec": spec}))
     words = written(tmp_path, afar, make_score("T1", 0, ended="process_failure"))[1]
@@ -279,7 +277,7 @@ def test_neighbouring_trials_are_linked_once_their_pages_are_there(tmp_path: Pat
     assert '<span> · <a href="T1-s000.html">previous trial</a>' in text
     assert "next trial" not in text
     assert '<span> · <a href="T1-s001.html">next trial</a>' in (tmp_path / "trial" / "T1-s000.html").read_text()
-    assert "carecontact video T1-s001.h5" in words
+    assert "carecontact view --video T1-s001.h5" in words
 
 
 def test_video_recording_log_and_report_are_linked_where_they_are(tmp_path: Path) -> None:
@@ -319,7 +317,7 @@ def test_only_the_same_task_and_seed_stands_beside_with_a_link_to_its_page(tmp_p
     other = RunScores(scores=[make_score("T1", 1, policy="mine")])
     beside = [Beside.of(replay, tmp_path / "b"), Beside.of(other, tmp_path / "c")]
     (row,) = other_rows(make_score("T1", 0), beside, tmp_path / "a")
-    assert (row.name, row.note, row.result_text, row.peak) == ("replay", "blind baseline", "failed", "NA")
+    assert (row.name, row.note, row.result[1], row.score.policy) == ("replay", "blind baseline", "failed", "replay")
     assert row.address == "../../b/trial/T1-s000.html"
     assert [found.name for found in other_rows(make_score("T1", 1), beside, tmp_path / "a")] == ["replay", "mine"]
     assert [found.address for found in other_rows(make_score("T1", 1), beside, tmp_path / "a")] == ["", ""]
@@ -361,7 +359,7 @@ def with_card(card: dict[str, Any] | None, **arrays: Any) -> Recording:
     return replace(recording, header=header, arrays={**recording.arrays, **arrays})
 
 
-def test_the_card_is_told_in_words() -> None:
+def test_the_card_is_put_in_words() -> None:
     card = PolicyCard(
         name="mine", modalities=("rgb", "points"), cameras=("overhead", "wrist"), control_hz=20,
         language_backend="rules-v1", out_of_bounds="clip", arguments={"b": "2", "a": "1"}, environment=("KEY",),
@@ -382,70 +380,20 @@ def test_the_card_is_told_in_words() -> None:
     assert card_rows(with_card(None).header) == []
 
 
-def test_what_the_page_does_not_show_is_told() -> None:
+def test_what_the_page_does_not_show_is_named() -> None:
     """Two looks, of which each was sent a colour image."""
+
+    def note(recording: Recording, left_out: int = 0) -> str:
+        sent = sent_views(recording)
+        text = render("looks.html.j2", took=np.zeros(0), sent=sent, left_out=left_out, looks=[1])
+        return text.strip().removeprefix('<p class="note">').removesuffix("</p>").strip()
+
     images = {f"policy/frames/000{look}/overhead/rgb": np.zeros((2, 2, 3), np.uint8) for look in (0, 1)}
     plain = {"name": "p", "cameras": ["overhead"], "modalities": ["rgb"]}
     whole = with_card(plain, **images)
-    assert not_shown_text(whole, 0) == ""
-    assert not_shown_text(whole, 1) == "1 stored picture of later looks is not on this page."
+    assert note(whole) == ""
+    assert note(whole, 1) == "1 stored picture of later looks is not on this page."
     bare = {path: array for path, array in whole.arrays.items() if not path.startswith("policy/frames/")}
-    assert not_shown_text(replace(whole, arrays=bare), 0) == "2 further pictures of later looks were not stored."
+    assert note(replace(whole, arrays=bare)) == "2 further pictures of later looks were not stored."
     more = with_card({**plain, "modalities": ["rgb", "points", "masks", "landmarks"]}, **images)
-    assert not_shown_text(more, 0) == (
-        "The policy was also sent points, masks and landmarks at each look; a recording keeps only colour and depth "
-        "images."
-    )
-
-
-# The charts over time name the peak, a safety gate that is out of sight, and more than one value on each axis.
-
-
-def drawn(recording: Recording) -> str:
-    trace = force_trace(recording, score_recording(recording))
-    return timeline_svg(panels_of(recording, trace, paths(recording)), trace, [], [])
-
-
-def pressed_with(share: float) -> Recording:
-    """Of the 20 N of the synthetic trial, whose safety gate is 35 N."""
-    recording = whole_trial()
-    recording.arrays["scorer/force_human_from_robot_in_world"][:] *= share
-    recording.arrays["scorer/normal_force"][:] *= share
-    return recording
-
-
-@pytest.mark.parametrize(("share", "line"), [(1.0, 'class="gate"'), (0.2, "↑ safety gate of the right forearm 35 N")])
-def test_the_force_chart_names_its_peak_and_the_safety_gate(share: float, line: str) -> None:
-    svg = drawn(pressed_with(share))
-    assert f">{20 * share:.1f} N</text>" in svg
-    assert line in svg
-    assert "safety gate of the right forearm 35 N" in svg
-
-
-@given(st.floats(-300, 300), st.floats(1e-3, 600))
-def test_every_axis_has_two_values_or_more(low: float, span: float) -> None:
-    found = ticks(low, low + span)
-    assert 2 <= len(found) <= 7
-    assert all(low <= value <= low + span for value in found)
-
-
-def test_a_line_is_cut_where_it_leaves_and_begins_anew_where_it_comes_back() -> None:
-    line = np.array([[10, 10], [30, 10], [30, 90], [70, 90], [70, 10], [120, 10]], float)
-    parts = inside(line, 100, 50)
-    assert parts == [
-        [(10, 10), (30, 10), (30, 50)], [(70, 50), (70, 10), (100, 10)]
-    ]  # fmt: skip
-
-
-def test_a_line_that_crosses_between_two_points_outside_is_seen() -> None:
-    assert inside(np.array([[-50, 25], [150, 25]], float), 100, 50) == [[(0, 25), (100, 25)]]
-    assert inside(np.array([[-50, 60], [150, 60], [150, 25]], float), 100, 50) == []
-    assert inside(np.array([[1.0, 1.0]]), 100, 50) == []
-
-
-def test_points_that_look_like_one_are_one_but_the_ends_stay() -> None:
-    x = np.linspace(0, 10, 1001)
-    (part,) = inside(np.stack([x, np.full_like(x, 5)], axis=1), 100, 50)
-    assert part[0] == (0, 5)
-    assert part[-1] == pytest.approx((10, 5))
-    assert len(part) < 20
+    assert note(more).startswith("The policy was also sent points, masks, landmarks at each look; a recording keeps")

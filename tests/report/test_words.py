@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import tyro
 
+from carecontact.cli.parsing import parse
 from carecontact.cli.report import Report
 from carecontact.cli.run import Run
 from carecontact.protocol.load import load_protocol
@@ -21,7 +22,7 @@ from carecontact.scoring.result import TrialScore
 from tests.report.synthetic import make_score, whole_trial
 
 
-def test_one_trial_with_one_action_is_told_in_the_singular() -> None:
+def test_one_trial_with_one_action_is_in_the_singular() -> None:
     assert "In 1 of 1 trial the benchmark" in clipped_text([make_score("T1", 0, clipped_actions=1)])
     assert "(1 action in all)" in clipped_text([make_score("T1", 0, clipped_actions=1)])
     several = clipped_text([make_score("T1", seed, clipped_actions=2) for seed in range(2)])
@@ -121,9 +122,11 @@ def _score(protocol: Protocol, *, seed: int = 0, task: str = "T1") -> TrialScore
 
 
 def _parsed(command: str) -> Run:
-    program, name, *arguments = shlex.split(command)
-    assert (program, name) == ("carecontact", "run")
-    return tyro.cli(Run, args=arguments)
+    program, *arguments = shlex.split(command)
+    assert program == "carecontact"
+    run = parse(arguments)
+    assert isinstance(run, Run)
+    return run
 
 
 @pytest.mark.parametrize("changes", [{}, CHANGES, {"phases.latency_s": 0.2, "physics.dt_s": 0.004}])
@@ -158,10 +161,11 @@ def test_the_folder_of_a_run_that_is_named_by_a_dot_has_one_beside_it(
 def test_files_that_a_score_does_not_name_stand_as_such() -> None:
     score = make_score("T1", 0).model_copy(
         update={
-            "protocol_id": "mine", "overrides": {"lock": "changed", "vision.segmenter": "grounded-sam 0123456789ab"},
+            "protocol_id": "mine",
+            "overrides": {"lock": "changed", "vision.segmenter": "grounded-sam 0123456789ab"},
             "world": {"salt": "ab"},
         }
-    )  # fmt: skip
+    )
     assert rules_options(score) == [
         "--protocol", "FILE.toml", "--unfrozen", "--segmenter", "grounded-sam", "--weights", "FOLDER",
         "--salt-file", "FILE",

@@ -1,6 +1,7 @@
 """Stands in for the trial worker: does what FAKE_PLAN says for its trial, and notes in FAKE_LOG that it ran.
 
-A list in the plan is what the attempts at one trial do, one after another. ``lost:abc`` first tells three answers.
+A list in the plan is what the attempts at one trial do, one after another. ``lost:abc`` first reports three answers;
+``outlasts`` ends after two attempts at T1-s001.
 """
 
 from __future__ import annotations
@@ -73,38 +74,31 @@ def one_quiet_period(spec: TrialSpec) -> dict[str, Any]:
 
 
 def main() -> int:
-    from carecontact.running.engine import TrialRequest
+    from carecontact.running.engine import ANSWERED, DIGEST_BYTES, POLICY_GONE, POLICY_RUNS, TrialRequest
+    from carecontact.running.worker import FIRST_ANSWER, UNREACHED, UNSTORED
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
-    spec, out = request.spec, request.out
-    trial_id = spec.trial_id
-    with Path(os.environ["FAKE_LOG"]).with_name("commands.txt").open("a") as commands:
-        variables = {name: value for name, value in os.environ.items() if name not in ("FAKE_PLAN", "FAKE_LOG")}
-        commands.write(f"{out} {sys.orig_argv} {variables}\n")
-    requests = Path(os.environ["FAKE_LOG"]).with_name("requests.jsonl")
-    with requests.open("a") as stream:
-        stream.write(f"{request.model_dump_json()}\n")
-    note(f"{trial_id} {os.getpid()}")
-    does = json.loads(os.environ["FAKE_PLAN"]).get(trial_id, "good")
-    if isinstance(does, list):
-        does = does[Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) - 1]
-    does, _, answers = does.partition(":")
-    if answers:
-        from carecontact.running.engine import ANSWERED, DIGEST_BYTES
-
-        assert request.told_fd is not None
-        for letter in answers:
-            os.write(request.told_fd, ANSWERED + letter.encode() * DIGEST_BYTES)
-    if does in ("lost", "lost_once", "lost_after", "stopped"):
-        from carecontact.running.engine import POLICY_GONE, POLICY_RUNS
-
-        assert request.told_fd is not None
-        os.write(request.told_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
-        if does != "lost_once" or Path(os.environ["FAKE_LOG"]).read_text().count(trial_id) == 1:
-            os.kill(os.getpid(), signal.SIGSTOP if does == "stopped" else signal.SIGKILL)
-        write(spec, out, "good")
-    elif does == "kill":
+    spec, out, log = request.spec, request.out, Path(os.environ["FAKE_LOG"])
+    assert request.status_fd is not None
+    variables = {name: value for name, value in os.environ.items() if name not in ("FAKE_PLAN", "FAKE_LOG")}
+    append(log.with_name("commands.txt"), f"{out} {sys.orig_argv} {variables}")
+    append(log.with_name("requests.jsonl"), request.model_dump_json())
+    append(log, f"{spec.trial_id} {os.getpid()}")
+    attempt = log.read_text().count(spec.trial_id)
+    does = json.loads(os.environ["FAKE_PLAN"]).get(spec.trial_id, "good")
+    does, _, answers = (does[attempt - 1] if isinstance(does, list) else does).partition(":")
+    for letter in answers:
+        os.write(request.status_fd, ANSWERED + letter.encode() * DIGEST_BYTES)
+    if does in ("lost", "lost_once", "lost_after", "stopped", "starve", "lack_with_policy"):
+        os.write(request.status_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
+    while does == "outlasts" and log.read_text().count("T1-s001") < 2:
+        time.sleep(0.05)
+    if does in ("slow", "slow_lost", "outlasts"):
+        time.sleep(3 if does == "slow" else 2)
+    if does in ("lost", "lost_after", "kill", "slow_lost") or (does == "lost_once" and attempt == 1):
         os.kill(os.getpid(), signal.SIGKILL)
+    elif does == "stopped":
+        os.kill(os.getpid(), signal.SIGSTOP)
     elif does == "exit":
         sys.stderr.write("evidence on stderr\n")
         sys.stderr.flush()
@@ -112,56 +106,34 @@ def main() -> int:
     elif does == "garbage":
         out.write_bytes(b"not a recording")
     elif does == "full":
-        from carecontact.running.worker import UNSTORED
-
         os._exit(UNSTORED)
-    elif does == "hang":
-        note(f"child {subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).pid}")
-        time.sleep(600)
-    elif does == "starve":
-        from carecontact.running.engine import POLICY_RUNS
-
-        assert request.told_fd is not None
-        os.write(request.told_fd, POLICY_RUNS)
+    elif does in ("hang", "starve"):
+        if does == "hang":
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+            append(log, f"child {child.pid}")
         time.sleep(600)
     elif does in ("lack", "lack_with_policy"):
         from carecontact.recording import write_recording
         from carecontact.recording.schema import EXHAUSTED
-        from carecontact.running.engine import POLICY_RUNS
         from carecontact.running.lost import harness_error_recording
 
-        assert request.told_fd is not None
-        if does == "lack_with_policy":
-            os.write(request.told_fd, POLICY_RUNS)
         write_recording(harness_error_recording(spec, kind=EXHAUSTED, message="no thread is left\n\nTrace"), out)
-    elif does == "slow_lost":
-        time.sleep(2)
-        os.kill(os.getpid(), signal.SIGKILL)
-    elif does == "beside":
-        # Another command begins a run.
-        (out.parents[3] / "later").mkdir()
-        (out.parents[3] / "later" / "manifest.json").touch()
-        write(spec, out, "good")
     elif does == "unreached" or (does == "unreached_server" and "://" in spec.policy):
-        from carecontact.running.worker import UNREACHED
-
         out.with_name(UNREACHED).write_text("nothing listens there")
-    elif does == "answers":
-        from carecontact.running.worker import FIRST_ANSWER
-
-        out.with_name(FIRST_ANSWER).write_text(json.dumps(["quaternion: as of " + trial_id, "done: \x1b[2J"]))
-        write(spec, out, "good")
-    elif does == "slow":
-        time.sleep(3)
-        write(spec, out, "good")
     elif does != "nothing":
-        write(spec, out, "good" if does == "unreached_server" else does)
+        if does == "beside":  # Another command begins a run.
+            (out.parents[3] / "later").mkdir()
+            (out.parents[3] / "later" / "manifest.json").touch()
+        elif does == "answers":
+            warnings = ["quaternion: as of " + spec.trial_id, "done: \x1b[2J"]
+            out.with_name(FIRST_ANSWER).write_text(json.dumps(warnings))
+        write(spec, out, does)
     return 0
 
 
-def note(line: str) -> None:
-    with Path(os.environ["FAKE_LOG"]).open("a") as log:
-        log.write(f"{line}\n")
+def append(file: Path, line: str) -> None:
+    with file.open("a") as stream:
+        stream.write(f"{line}\n")
 
 
 def write(spec: TrialSpec, out: Path, does: str) -> None:
@@ -170,8 +142,7 @@ def write(spec: TrialSpec, out: Path, does: str) -> None:
 
     if does == "other":
         spec = spec.model_copy(update={"seed": spec.seed + 1})
-    endings = {"policy": "process_failure", "policy_killed": "process_failure"}
-    made = recording(spec, endings.get(does, "done"))
+    made = recording(spec, "process_failure" if does in ("policy", "policy_killed") else "done")
     if does == "policy_killed":
         killed = Failure(kind="killed", message="policy 'x' failed at act: its process was killed by SIGKILL")
         made = replace(made, header=made.header.model_copy(update={"failure": killed}))

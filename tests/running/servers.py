@@ -74,12 +74,12 @@ class SeeingVla(Looks, VlaEval):
 
     def tell(self, connection: ServerConnection, kind: str, payload: dict[str, Any], seq: int) -> None:
         if kind == "action":
-            said = self.heard[-1]["payload"]
+            observed = self.heard[-1]["payload"]
             began = max(i for i, one in enumerate(self.heard) if one["type"] == "episode_start")
             if self.buffered:
-                said = self.heard[began + 1]["payload"]
-            shown = {**said["images"], "prompt": said["task_description"], "states": said["states"]}
-            row = self.velocities(shown, said["states"][:7], steps=1)[0]
-            row[:7] = said["states"][:7] + 0.2 * row[:7]
+                observed = self.heard[began + 1]["payload"]
+            shown = {**observed["images"], "prompt": observed["task_description"], "states": observed["states"]}
+            row = self.velocities(shown, observed["states"][:7], steps=1)[0]
+            row[:7] = observed["states"][:7] + 0.2 * row[:7]
             payload = {"actions": row}
         super().tell(connection, kind, payload, seq)

@@ -137,7 +137,7 @@ NATIVE = PolicyCard(name="mine", modalities=("rgb", "depth", "points", "masks", 
 
 def test_what_a_profile_is_sent() -> None:
     profile = PROFILES["pi05-droid"]
-    card, shown = card_of(profile, dialect="openpi"), seen()
+    card, shown = card_of(profile), seen()
     request = infer_request(shown, profile, session_id="")
     found = inputs_of(shown, card, SESSION, sent=pack(request))
     assert {one.name: one.needed for one in found} == {
@@ -161,8 +161,9 @@ def test_what_a_policy_of_the_native_wire_is_sent() -> None:
     shown = synthetic_observation(cameras={"overhead": synthetic_view()})
     found = {one.name: one for one in inputs_of(shown, NATIVE, SESSION, sent=act_message(shown))}
     assert [name for name, one in found.items() if one.needed] == [
-        "observation.cameras.overhead (camera overhead)", "observation.instruction (instruction)",
-    ]  # fmt: skip
+        "observation.cameras.overhead (camera overhead)",
+        "observation.instruction (instruction)",
+    ]
     for one in found.values():
         act_message(one.blank(shown))
     view = found["observation.cameras.overhead (camera overhead)"].blank(shown).cameras["overhead"]

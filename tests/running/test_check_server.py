@@ -125,22 +125,25 @@ def test_a_mistake_is_named(checked: Checked, name: str) -> None:
         assert [line.split()[1] for line in others] in ([], ["clipped"]), out
 
 
-GOOD: dict[str, tuple[Callable[[], Fake], str]] = {
-    "velocities": (lambda: Seeing(steps=15), VELOCITY),
-    "targets": (lambda: Seeing(targets=True), POSITION),
-    "random velocities": (lambda: Seeing(steps=15, noise=0.02), VELOCITY),
-    "random targets": (lambda: Seeing(targets=True, noise=0.02), POSITION),
-    "RoboArena": (lambda: SeeingArena(external=2), ARENA),
-    "random RoboArena": (lambda: SeeingArena(noise=0.02), ARENA),
-    "vla-eval": (SeeingVla, VLA),
-    "vla-eval with a buffer": (lambda: SeeingVla(buffered=True), VLA),
-    "random vla-eval": (lambda: SeeingVla(noise=0.02), VLA),
-}
+def good(name: str, make: Callable[[], Fake], address: str, *, slow: bool = False) -> Any:
+    return pytest.param(make, address, id=name, marks=pytest.mark.slow if slow else ())
 
 
-@pytest.mark.parametrize("name", GOOD)
-def test_a_good_server_gets_no_warning(checked: Checked, name: str) -> None:
-    make, address = GOOD[name]
+@pytest.mark.parametrize(
+    ("make", "address"),
+    [
+        good("velocities", lambda: Seeing(steps=15), VELOCITY),
+        good("targets", lambda: Seeing(targets=True), POSITION),
+        good("random velocities", lambda: Seeing(steps=15, noise=0.02), VELOCITY),
+        good("random targets", lambda: Seeing(targets=True, noise=0.02), POSITION, slow=True),
+        good("RoboArena", lambda: SeeingArena(external=2), ARENA),
+        good("random RoboArena", lambda: SeeingArena(noise=0.02), ARENA, slow=True),
+        good("vla-eval", SeeingVla, VLA),
+        good("vla-eval with a buffer", lambda: SeeingVla(buffered=True), VLA),
+        good("random vla-eval", lambda: SeeingVla(noise=0.02), VLA),
+    ],
+)
+def test_a_good_server_gets_no_warning(checked: Checked, make: Callable[[], Fake], address: str) -> None:
     status, out = checked(make(), address)
     assert status == 0
     assert "\nwarning" not in out, out
@@ -149,7 +152,7 @@ def test_a_good_server_gets_no_warning(checked: Checked, name: str) -> None:
     assert out.endswith("a run can work\n")
 
 
-def test_what_is_said_of_a_good_server(checked: Checked, tmp_path: Path) -> None:
+def test_the_report_on_a_good_server(checked: Checked, tmp_path: Path) -> None:
     server = SeeingArena(external=2)
     _, out = checked(server, ARENA, "--pictures", "sheet.png")
     assert "n_external_cameras   2  (how many exterior cameras it wants)" in out
@@ -180,8 +183,11 @@ def test_the_opposite_polarity_is_named(checked: Checked) -> None:
             return with_gripper(super().chunk(observation), 1 - float(observation[GRIPPER][0]))
 
     _, out = checked(Opposite(), VELOCITY)
-    assert "hint     gripper      the server is told that the gripper is closed (1) and commands an open one" in out
-    assert "warning  gripper      told that the gripper is closed (1), the server commands an open one (0), and" in out
+    assert (
+        "hint     gripper      the observation says that the gripper is closed (1), and the server commands an open"
+        in out
+    )
+    assert "warning  gripper      where the gripper is observed as closed (1), the server commands an" in out
 
 
 def test_a_server_that_refuses_a_blanked_input_uses_it(checked: Checked) -> None:

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from carecontact.episode.perception import Peak
-from carecontact.episode.randomization import World, settled_world
+from carecontact.episode.randomization import World
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.schema import Recording
 from carecontact.running.trial import run_trial
-from carecontact.sim.simulation import Simulation
 from tests.serving.fakes import OMNI_PATH, Fake, Omni, Openpi, OpenpiPositions, RoboArena, VlaEval
 
 SECONDS = 1.2
@@ -26,16 +25,9 @@ Run = Callable[[Fake, str], Recording]
 
 
 @pytest.fixture(scope="module", params=[SECONDS, pytest.param(30.0, marks=pytest.mark.slow)])
-def run(request: pytest.FixtureRequest) -> Run:
-    """``run(server, address)``: a trial of T1 from one settled world; the address has {} for the port."""
+def run(request: pytest.FixtureRequest, again: Callable[..., World]) -> Run:
+    """``run(server, address)``: a trial of T1; the address has {} for the port."""
     protocol = overridden(load_protocol(), {"phases.time_limit_s": request.param})
-    simulation, settled, sha256 = settled_world(protocol, task_id="T1", seed=0)
-    state = simulation.integration_state()
-
-    def again(spec: TrialSpec) -> World:
-        fresh = Simulation(simulation.scene)
-        fresh.restore(state, comfort_arm_deg=settled.comfort_arm_deg)
-        return fresh, settled, sha256
 
     def run_one(server: Fake, address: str) -> Recording:
         with server.running() as port, pytest.MonkeyPatch.context() as patch:
@@ -107,7 +99,7 @@ FAULTS: dict[str, tuple[Callable[[Any], object], str, str]] = {
     "text": (lambda reply: "Traceback (most recent call last):\nValueError: no such key", "exception", "no such key"),
     "error map": (lambda reply: {"type": "error", "message": "CUDA out of memory"}, "exception", "CUDA out of memory"),
     "object dtype": (_object_array, "garbage", "expected an array dtype out of"),
-    "keys of bytes": (lambda reply: msgpack.packb({b"actions": 1}), "garbage", "text as keys outside arrays"),
+    "keys of bytes": (lambda reply: msgpack.packb({b"actions": 1}), "garbage", "expected text as map keys"),
     "too large": (lambda reply: bytes(5 << 20), "oversize", "at most 4194304 bytes"),
 }
 """What a server answers the second time -> kind of the failure, and what it says."""

@@ -35,42 +35,72 @@ def kind(recording: Recording) -> tuple[str, str | None]:
     return recording.header.ended, None if failure is None else failure.kind
 
 
-def test_a_policy_that_was_killed_once_is_repeated_and_told(bench: Bench) -> None:
-    bench.run(specs(1), {FIRST: ["policy_killed:ab", "good:abc"]})
-    assert bench.ran() == [FIRST, FIRST]
-    assert kind(bench.recording(FIRST)) == ("done", None)
-    told = [event.message for event in bench.events if event.kind == "redo"]
-    assert told == ["policy 'x' failed at act: its process was killed by SIGKILL"]
+DONE, KILLED, OTHER = ("done", None), ("process_failure", "killed"), ("process_failure", OTHER_ANSWERS)
+REPETITIONS: dict[str, tuple[str | list[str], tuple[str, str | None]]] = {
+    "T1-s000": (["policy_killed:ab", "good:abc"], DONE),
+    "T1-s001": (["policy_killed:ab", "policy_killed:a"], KILLED),
+    "T1-s002": (["policy_killed:ab", "good:ax"], OTHER),
+    "T1-s003": (["policy_killed:ab", "policy:ax"], OTHER),
+    "T1-s004": (["policy_killed:ab", "policy_killed:ax"], OTHER),
+    "T1-s005": (["policy_killed:ab", "good:"], DONE),
+    "T1-s006": (["lack_with_policy:ab", "lack_with_policy:ab"], KILLED),
+    "T1-s007": (["lack_with_policy:ab", "good"], DONE),
+    "T1-s008": ("lost_once", DONE),
+    "T1-s009": ("kill", ("harness_error", "signal")),
+    "T1-s010": (["policy_killed:a", "policy_killed:abc"], KILLED),
+    "T1-s011": ("exit", ("harness_error", "exit")),
+}
+"""Trial -> what its attempts do, and how it ends. Without a bond to its first answers, a policy that kills itself or
+leaves its trial without a thread could try others, and could take a bad trial out of the count."""
 
 
-def test_a_policy_that_leaves_its_trial_without_a_thread_twice_has_failed(bench: Bench) -> None:
-    """Else it could take a bad trial out of the count."""
-    bench.run(
-        specs(2), {FIRST: ["lack_with_policy:ab", "lack_with_policy:ab"], SECOND: ["lack_with_policy:ab", "good"]}
-    )
-    assert bench.ran() == [FIRST, FIRST, SECOND, SECOND]
-    assert kind(bench.recording(FIRST)) == ("process_failure", "killed")
-    failure = bench.recording(FIRST).header.failure
+def test_a_trial_is_repeated_once_and_bound_to_its_first_answers(bench: Bench) -> None:
+    trials = specs(len(REPETITIONS))
+
+    def kinds() -> dict[str, tuple[str, str | None]]:
+        return {trial: kind(bench.recording(trial)) for trial in REPETITIONS}
+
+    bench.run(trials, {trial: does for trial, (does, _) in REPETITIONS.items()}, jobs=3)
+    assert bench.ran() == sorted([*REPETITIONS, *REPETITIONS][:-1])
+    first = {trial: expected for trial, (_, expected) in REPETITIONS.items()}
+    assert kinds() == first
+    why = {event.trial_id: event.message for event in bench.events if event.kind == "redo"}
+    assert why["T1-s000"] == "policy 'x' failed at act: its process was killed by SIGKILL"
+    assert why["T1-s008"] == "the trial's process died of signal 9 (Killed) while the policy was running"
+    failure = bench.recording("T1-s006").header.failure
     assert failure is not None
     assert failure.message.startswith("no thread is left while the policy was running, in both attempts\n")
-    assert kind(bench.recording(SECOND)) == ("done", None)
-    bench.run(specs(1), {FIRST: ["lack_with_policy:ab", "good:xy"]})
-    assert kind(bench.recording(FIRST)) == ("process_failure", OTHER_ANSWERS), "its second try would be another one"
+
+    # The same command repeats what a signal or the machine ended, and nothing that had its repetition.
+    second = {
+        "T1-s001": "good:abc",
+        "T1-s006": ["lack_with_policy:ab", "good:xy"],
+        "T1-s009": "kill",
+        "T1-s010": ["policy_killed:ab", "good:abx"],
+    }
+    bench.run(trials, second, jobs=3)
+    assert bench.ran() == sorted([*second, "T1-s006", "T1-s009", "T1-s010", "T1-s011"])
+    later = {"T1-s001": DONE, "T1-s006": OTHER, "T1-s010": OTHER, "T1-s011": DONE}
+    assert kinds() == first | later
+    bench.run(trials)
+    assert bench.ran() == ["T1-s009"]
+    bench.run(trials, {"T1-s010": "good:abx"}, retry_failed=True)
+    assert set(kinds().values()) == {DONE}
 
 
 def test_a_trial_that_cannot_begin_waits_for_the_others(bench: Bench) -> None:
     summary = bench.run(specs(2), {FIRST: "slow", SECOND: ["lack", "lack", "good"]})
     assert set(summary.ended.values()) == {"done"}
     assert bench.ran() == [FIRST, *[SECOND] * 3]
-    said = {event.message for event in bench.events if event.kind == "waiting"}
-    assert said == {"cannot begin yet: no thread is left"}
+    reasons = {event.message for event in bench.events if event.kind == "waiting"}
+    assert reasons == {"cannot begin yet: no thread is left"}
 
 
 def test_a_run_whose_trials_cannot_begin_for_long_stops(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carecontact.running.supervisor.LACKING_ALONE_S", 0.5)
     monkeypatch.setattr("carecontact.running.supervisor.START_PAUSE_S", 0.1)
-    told = r"the run stops with 1 of 2 trials done: a trial could not begin: no thread is left; end other programs"
-    with pytest.raises(ExhaustedError, match=told):
+    message = r"the run stops with 1 of 2 trials done: a trial could not begin: no thread is left; end other programs"
+    with pytest.raises(ExhaustedError, match=message):
         bench.run(specs(2), {SECOND: "lack"}, jobs=1)
     assert not (bench.out / f"{SECOND}.h5").exists()
     assert set(bench.run(specs(2)).ended.values()) == {"done"}
@@ -80,14 +110,14 @@ def test_a_trial_that_runs_may_end_before_a_run_stops_that_cannot_go_on(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its policy may be the cause, and would else run again without condition."""
-    monkeypatch.setattr("carecontact.running.supervisor.LACKING_S", 0.5)
+    monkeypatch.setattr("carecontact.running.supervisor.LACKING_S", 0.0)
     monkeypatch.setattr("carecontact.running.supervisor.START_PAUSE_S", 0.1)
     with pytest.raises(ExhaustedError, match="with 1 of 3 trials done: a trial could not begin: no thread is left"):
-        bench.run(specs(3), {FIRST: "slow", SECOND: "lack"})
+        bench.run(specs(3), {FIRST: "outlasts", SECOND: "lack"})
     assert kind(bench.recording(FIRST)) == ("done", None)
 
 
-def test_patience_begins_anew_after_a_trial_that_could_begin(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patience_begins_again_after_a_trial_that_could_begin(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carecontact.running.supervisor.LACKING_ALONE_S", 1.0)
     monkeypatch.setattr("carecontact.running.supervisor.START_PAUSE_S", 0.1)
     assert bench.run(specs(1), {FIRST: ["lack", "slow_lost", "lack", "good"]}).ended == {FIRST: "done"}
@@ -111,34 +141,6 @@ def test_a_process_that_cannot_be_started_is_tried_again(bench: Bench, monkeypat
     assert len(os.listdir("/proc/self/fd")) == held
 
 
-def test_a_policy_that_is_killed_twice_has_failed_until_the_command_is_given_again(bench: Bench) -> None:
-    bench.run(specs(2), {FIRST: ["policy_killed:ab", "policy_killed:a"]})
-    assert kind(bench.recording(FIRST)) == ("process_failure", "killed")
-    bench.run(specs(2), {FIRST: "good:abc"})
-    assert bench.ran() == [FIRST]
-    assert kind(bench.recording(FIRST)) == ("done", None)
-    bench.run(specs(2))
-    assert bench.ran() == []
-
-
-@pytest.mark.parametrize("second", ["good:ax", "policy:ax", "policy_killed:ax", "good:"])
-def test_a_policy_that_kills_itself_cannot_try_other_answers(bench: Bench, second: str) -> None:
-    bench.run(specs(1), {FIRST: ["policy_killed:ab", second]})
-    expected = ("done", None) if second == "good:" else ("process_failure", OTHER_ANSWERS)
-    assert kind(bench.recording(FIRST)) == expected
-    bench.run(specs(1))
-    assert bench.ran() == [], "it had its repetition"
-
-
-def test_nor_can_it_in_the_next_command(bench: Bench) -> None:
-    bench.run(specs(1), {FIRST: ["policy_killed:a", "policy_killed:abc"]})
-    bench.run(specs(1), {FIRST: ["policy_killed:ab", "good:abx"]})
-    assert kind(bench.recording(FIRST)) == ("process_failure", OTHER_ANSWERS)
-    assert bench.recording(FIRST).header.failure is not None
-    bench.run(specs(1), {FIRST: "good:abx"}, retry_failed=True)
-    assert kind(bench.recording(FIRST)) == ("done", None)
-
-
 @pytest.mark.parametrize(("closed", "ends"), [(True, "done"), (False, "process_failure")])
 def test_a_worker_that_the_policy_may_have_killed_binds_it_too(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, closed: bool, ends: str
@@ -159,22 +161,6 @@ def test_a_policy_that_starves_its_trial_until_the_time_is_over_has_failed(
     assert bench.ran() == [FIRST, FIRST, SECOND, SECOND]
     assert kind(bench.recording(FIRST)) == ("process_failure", "killed")
     assert kind(bench.recording(SECOND)) == ("process_failure", OTHER_ANSWERS)
-
-
-def test_a_trial_that_was_killed_before_its_policy_ran_is_repeated_by_every_command(bench: Bench) -> None:
-    for _ in range(2):
-        bench.run(specs(2), {FIRST: "kill", SECOND: "exit"} if not bench.out.exists() else {FIRST: "kill"})
-        assert bench.ran().count(FIRST) == 2
-        assert kind(bench.recording(FIRST)) == ("harness_error", "signal")
-    bench.run(specs(2))
-    assert bench.ran() == [FIRST], "only what chance may have ended"
-    assert kind(bench.recording(FIRST)) == ("done", None)
-
-
-def test_what_a_lost_trial_died_of_is_told(bench: Bench) -> None:
-    bench.run(specs(1), {FIRST: "lost_once"})
-    told = [event.message for event in bench.events if event.kind == "redo"]
-    assert told == ["the trial's process died of signal 9 (Killed) while the policy was running"]
 
 
 def test_a_digest_stands_for_every_bit_of_an_answer() -> None:
@@ -215,10 +201,8 @@ class Own:
 def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "carecontact", "run", "--policy", "own:Own", "--tasks", "T1", "--seeds", "0"]
     given = [part for argument in arguments for part in ("--policy-arg", argument)]
-    return subprocess.run(
-        [*command, "--policy-write", ".", "--fast", *given, "--out", "r"],
-        cwd=folder, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    command += ["--policy-write", ".", "--fast", *given, "--out", "r"]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
 def test_a_real_policy_that_dies_and_comes_back(tmp_path: Path) -> None:
@@ -234,6 +218,7 @@ def test_a_real_policy_that_dies_and_comes_back(tmp_path: Path) -> None:
     assert f"killed by {signal.SIGKILL.name}" in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "kind"), [(("dies=always",), "killed"), (("dies=once", "moves=0.001"), "other_answers")]
 )

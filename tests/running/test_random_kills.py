@@ -100,10 +100,8 @@ def helpers() -> list[int]:
 
 
 def command(out: Path, trials: int) -> list[str]:
-    return [
-        sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--tasks", "T1,T2",
-        "--seeds", f"0-{trials // 2 - 1}", "--set", "phases.time_limit_s=1", "--jobs", "2", "--out", str(out),
-    ]  # fmt: skip
+    seeds = ["--seeds", f"0-{trials // 2 - 1}", "--set", "phases.time_limit_s=1", "--jobs", "2", "--out", str(out)]
+    return [sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--tasks", "T1,T2", *seeds]
 
 
 def within(temporary: Path) -> dict[str, str]:
@@ -116,10 +114,9 @@ class Terminal:
     def __init__(self, arguments: list[str], temporary: Path) -> None:
         self._ours, theirs = pty.openpty()
         os.set_blocking(self._ours, False)
-        self.running = subprocess.Popen(
-            ["setsid", "--ctty", *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=within(temporary),
-            cwd=temporary.parent,
-        )  # fmt: skip
+        streams = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
+        ctty = ["setsid", "--ctty", *arguments]
+        self.running = subprocess.Popen(ctty, **streams, env=within(temporary), cwd=temporary.parent)
         os.close(theirs)
 
     def wait(self, seconds: float) -> bool:
@@ -239,5 +236,5 @@ def test_what_was_killed_at_random_is_finished_by_the_same_command(
     assert {path.name for path in attack.out.iterdir()} == {path.name for path in undisturbed.iterdir()}
     assert not list(temporary.iterdir())
     assert set(Path("/dev/shm").iterdir()) <= shared
-    told = {"kills": attack.killed, "of the command": attack.supervisors, "commands": attack.commands}
-    record_property("random kills", {**told, "trials": trials, "done meanwhile": attack.meanwhile})
+    counts = {"kills": attack.killed, "of the command": attack.supervisors, "commands": attack.commands}
+    record_property("random kills", {**counts, "trials": trials, "done meanwhile": attack.meanwhile})

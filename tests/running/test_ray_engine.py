@@ -18,8 +18,9 @@ from carecontact import __version__
 from carecontact.errors import ConfigError, DependencyError
 from carecontact.interface.policy import PolicyRef
 from carecontact.protocol.load import load_protocol
-from carecontact.recording import read_recording, write_recording
+from carecontact.recording import Header, read_recording, write_recording
 from carecontact.running import ray_engine
+from carecontact.running.engine import RunSettings
 from carecontact.running.machine import check_ready
 from carecontact.running.ray_engine import ATTEMPTS, NodeDone, NodeTask, RayTrials, carry_out, connect
 from carecontact.running.supervisor import TrialEvent, check_engine, open_run
@@ -124,14 +125,12 @@ def test_a_trial_whose_node_died_runs_elsewhere_and_the_recordings_are_gathered(
     }
     ended, events = run(ray, out)
     assert ended == {"T1-s000": "done", "T1-s001": "process_failure", "T1-s002": "done"}
-    assert {path.name for path in out.iterdir()} == {
-        "T1-s000.h5", "T1-s001.h5", "T1-s001.log", "T1-s002.h5", MANIFEST
-    }  # fmt: skip
+    assert {path.name for path in out.iterdir()} == {"T1-s000.h5", "T1-s001.h5", "T1-s001.log", "T1-s002.h5", MANIFEST}
     again = {event.trial_id: event.message for event in events if event.kind == "redo"}
     assert again["T1-s000"] == "Ray lost it: the node was dead"
     assert "what node far sent cannot be read" in (again["T1-s002"] or "")
     assert [event.message for event in events if event.kind == "warned"] == ["look"]
-    closed = {place for task in ray.tasks for place in task.policy.closed}
+    closed = {place for task in ray.tasks for place in task.run.policy.closed}
     assert str(out) in closed
 
 
@@ -151,24 +150,27 @@ def test_a_trial_that_is_lost_again_and_again_is_recorded_and_the_same_command_r
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "message"),
     [
-        (NodeDone(node="far", refused="mujoco was 1, is 2"), "node far cannot run trials of this run: mujoco was 1"),
+        (NodeDone(node="far", kind="refused", why="mujoco was 1, is 2"), "node far cannot run trials .* mujoco was 1"),
         (RayTaskError("...\nModuleNotFoundError: No module named 'x'"), "a node cannot run trials: ModuleNot"),
     ],
-)  # fmt: skip
+)
 def test_a_node_that_cannot_run_trials_stops_the_run_and_what_runs(
-    ray: FakeRay, tmp_path: Path, answer: object, told: str
+    ray: FakeRay, tmp_path: Path, answer: object, message: str
 ) -> None:
     ray.answers = {"T1-s000": [answer]}
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         run(ray, tmp_path / "r")
     assert ray.cancelled == ["T1-s001 2"]
     assert not list((tmp_path / "r").glob("*.h5"))
 
 
 def test_a_server_that_a_node_cannot_reach_stops_the_run(ray: FakeRay, tmp_path: Path) -> None:
-    ray.answers = {"T1-s000": [NodeDone(node="far", unreached="nothing listens")], "T1-s001": [sent(1, tmp_path)]}
+    ray.answers = {
+        "T1-s000": [NodeDone(node="far", kind="unreached", why="nothing listens")],
+        "T1-s001": [sent(1, tmp_path)],
+    }
     with open_run(SPECS, out=tmp_path / "r", engine="ray") as found:
         while found.advance(None):
             pass
@@ -177,28 +179,20 @@ def test_a_server_that_a_node_cannot_reach_stops_the_run(ray: FakeRay, tmp_path:
 
 
 def test_as_many_trials_begin_as_the_cluster_has_cores_now(ray: FakeRay, tmp_path: Path) -> None:
-    engine = RayTrials(out=tmp_path, work=tmp_path, task=shared(), killed=frozenset())
+    engine = RayTrials(task().run, gpus=0.25)
     ray.cpus = 3
     assert engine.slots() == 3
     ray.cpus = 0
     assert engine.slots() == 1
     engine.start(SPECS[0])
     assert engine.waiting() == {"T1-s000": "waits: the cluster has no core"}
-    ray.cpus, engine.gpus = 3, 0.25
+    ray.cpus = 3
     assert engine.waiting() == {"T1-s000": "waits: the cluster has no node with the GPUs that --gpus 0.25 reserves"}
     ray.gpus = 1.0
     assert engine.waiting() == {}
     assert engine.count() == 1
     engine.kill_all()
     assert engine.count() == 0
-
-
-def shared() -> dict[str, Any]:
-    setup = PolicySetup(ref=PolicyRef.parse("hover"))
-    return {
-        "policy": setup, "shipped": False, "identity": None, "weights": None, "pace_s": None, "trial_limit_s": 1.0,
-        "command": None,
-    }  # fmt: skip
 
 
 def test_the_folder_of_an_imported_policy_goes_to_the_nodes_without_runs(
@@ -219,7 +213,7 @@ def test_the_folder_goes_to_the_nodes_whichever_policy_of_a_sweep_needs_it(ray: 
     assert ray.began["runtime_env"]["working_dir"] == str(Path.cwd())
 
 
-def test_an_address_where_nothing_listens_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_where_nothing_listens_is_named_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made = FakeRay()
     monkeypatch.setitem(sys.modules, "ray", made)
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -284,26 +278,39 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def task(policy: str = "hover", *, search_path: tuple[str, ...] = (), **changes: Any) -> NodeTask:
+def task(
+    policy: str = "hover", *, search_path: tuple[str, ...] = (), earlier: bytes | None = None, **changes: Any
+) -> NodeTask:
     spec = plan_trials(protocol=load_protocol(), policy=policy, tasks=["T1"], seeds=[0])[0]
-    made = NodeTask(
-        spec=spec, policy=PolicySetup(ref=PolicyRef.parse(policy), search_path=search_path), shipped=False,
-        identity=identity_of(spec, search_path=search_path), weights=None, pace_s=None, trial_limit_s=60.0,
-        command=FAKE, earlier=None,
-    )  # fmt: skip
-    return replace(made, **changes)
+    settings = RunSettings(
+        out=Path("out"),
+        work=Path("work"),
+        policy=PolicySetup(ref=PolicyRef.parse(policy), search_path=search_path),
+        identity=identity_of(spec, search_path=search_path),
+        trial_limit_s=60.0,
+        command=FAKE,
+    )
+    return NodeTask(spec=spec, run=replace(settings, **changes), earlier=earlier)
 
 
 def done(made: NodeTask, *, release: str = __version__) -> NodeDone:
     return carry_out(release, pickle.dumps(made))
 
 
+def header_of(found: NodeDone, folder: Path) -> Header:
+    (folder / "back.h5").write_bytes(found.recording)
+    return read_recording(folder / "back.h5").header
+
+
+def refusal(made: NodeTask, *, release: str = __version__) -> str | None:
+    found = done(made, release=release)
+    return found.why if found.kind == "refused" else None
+
+
 def test_a_trial_comes_back_as_bytes_and_leaves_nothing(folder: Path) -> None:
     found = done(task())
-    assert found.recording is not None
-    (folder / "back.h5").write_bytes(found.recording)
-    assert read_recording(folder / "back.h5").header.spec == task().spec
-    assert (found.log, found.lost, found.refused) == (None, None, None)
+    assert header_of(found, folder).spec == task().spec
+    assert (found.kind, found.log) == ("recorded", None)
     assert [path.name for path in folder.iterdir() if path.is_dir()] == []
     request = json.loads((folder / "requests.jsonl").read_text())
     closed = tuple(request["policy"]["closed"])
@@ -328,9 +335,7 @@ def test_an_attempt_that_an_earlier_command_lost_binds_the_repetition(
     lost = done(task())
     monkeypatch.setenv("FAKE_PLAN", json.dumps({"T1-s000": "good:ac"}))
     found = done(task(earlier=lost.recording))
-    assert found.recording is not None
-    (folder / "back.h5").write_bytes(found.recording)
-    failure = read_recording(folder / "back.h5").header.failure
+    failure = header_of(found, folder).failure
     assert failure is not None
     assert failure.kind == "other_answers"
 
@@ -338,31 +343,34 @@ def test_an_attempt_that_an_earlier_command_lost_binds_the_repetition(
 def test_a_node_without_space_gives_the_trial_back(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_PLAN", json.dumps({"T1-s000": "full"}))
     found = done(task())
-    assert found.recording is None
-    assert "No space left on device" in (found.lost or "")
+    assert found.kind == "lost"
+    assert "No space left on device" in found.why
 
 
-def test_a_node_of_another_release_or_with_other_files_is_refused(folder: Path) -> None:
-    assert done(task(), release="0.0.0").refused == f"it has carecontact {__version__}, and the command has 0.0.0"
-    identity = task().identity
+def test_a_node_of_another_release_or_with_other_files_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert refusal(task(), release="0.0.0") == f"it has carecontact {__version__}, and the command has 0.0.0"
+    identity = task().run.identity
     other = identity.model_copy(update={"versions": {**identity.versions, "mujoco": "9.9.9"}})
-    assert done(task(identity=other)).refused == "mujoco was 9.9.9, is 4.0.0"
+    assert refusal(task(identity=other)) == "mujoco was 9.9.9, is 4.0.0"
     assert not (folder / "ran.txt").exists()
 
     module = folder / "mine.py"
     module.write_text("class P: pass\n")
+    monkeypatch.chdir(folder)
     made = task("mine:P", search_path=(str(folder),))
-    assert done(made).refused is None
+    assert refusal(made) is None
     module.write_text("class P: x = 1\n")
-    assert done(made).refused == "the file of mine:P differs"
+    assert refusal(made) == "the file of mine:P differs"
     module.unlink()
-    assert done(made).refused == "the file of mine:P is not there"
+    assert refusal(made) == "the file of mine:P is not there"
 
 
 def test_a_node_that_cannot_render_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     check_ready.cache_clear()
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
-    refused = done(task()).refused
+    refused = refusal(task())
     assert refused is not None
     assert refused.startswith("this machine cannot run trials: OpenGL: MUJOCO_GL=nonsense")
     assert not (folder / "ran.txt").exists()
@@ -371,11 +379,10 @@ def test_a_node_that_cannot_render_is_refused(folder: Path, monkeypatch: pytest.
 def test_a_policy_that_was_shipped_lies_where_the_task_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "there").mkdir()
     (folder / "there/mine.py").write_text("class P: pass\n")
-    made = replace(task("mine:P", search_path=(str(folder / "there"),)), shipped=True)
-    made = replace(made, policy=replace(made.policy, search_path=("/the/command's/folder",)))
-    assert done(made).refused == "the file of mine:P is not there"
+    made = task("mine:P", search_path=(str(folder / "there"),))
+    assert refusal(made) == "the file of mine:P is not there"
     monkeypatch.chdir(folder / "there")
-    assert done(made).refused is None
+    assert refusal(made) is None
     request = json.loads((folder / "requests.jsonl").read_text())
     assert request["policy"]["search_path"] == [str(folder / "there")]
 

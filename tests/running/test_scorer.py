@@ -4,7 +4,7 @@ import errno
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -12,11 +12,16 @@ import numpy as np
 import psutil
 import pytest
 
+from carecontact.episode.randomization import World
 from carecontact.errors import ConfigError, counted
-from carecontact.recording import read_recording, write_recording
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.protocol import TrialSpec
+from carecontact.recording import canonical_hash, read_recording, write_recording
 from carecontact.running.pace import ACT, BETWEEN, PACED, WARM_S, Pace, check_pace
-from carecontact.running.scorer import FEW, Scorer
+from carecontact.running.trial import run_trial
 from carecontact.runs import score_run, scoring
+from carecontact.runs.scorer import FEW, Scorer
+from carecontact.serving.conversation import PolicySetup
 from tests.scoring.synthetic import make_recording, push, touch
 
 
@@ -52,18 +57,18 @@ def test_the_score_of_another_recording_does_not_count(folder: Path, scorer: Sco
     scorer.give(whole)
     write_recording(touch(force=9.0, seed=0), changed)
     assert scorer.take(changed) is None
-    assert scorer.take(changed.with_name("T9-s000.h5")) is None, "nobody gave it"
+    assert scorer.take(changed.with_name("T9-s000.h5")) is None, "it was never given"
     assert before is not None
     assert scorer.take(whole) == before
 
 
-def test_each_score_is_told(folder: Path, scorer: Scorer) -> None:
-    told: list[str] = []
+def test_each_score_is_handed_on(folder: Path, scorer: Scorer) -> None:
+    scored: list[str] = []
     paths = sorted(folder.glob("*.h5"))
     for path in paths:
-        scorer.give(path, then=lambda score: told.append(score.trial_id))
+        scorer.give(path, then=lambda score: scored.append(score.trial_id))
     scorer.wait()
-    assert sorted(told) == ["T1-s000", "T1-s001", "T2-s000"]
+    assert sorted(scored) == ["T1-s000", "T1-s001", "T2-s000"]
     assert [scorer.score_of(path) is None for path in paths] == [False, False, False, True]
 
 
@@ -154,8 +159,9 @@ def test_without_a_pace_nothing_waits_and_the_time_is_noted() -> None:
     clock.now += 0.2
     pace.answered(1)
     assert {name: values.tolist() for name, values in pace.arrays().items()} == {
-        BETWEEN: [pytest.approx(0.3, abs=1e-3)], ACT: [pytest.approx(t, abs=1e-3) for t in (0.7, 0.2)]
-    }  # fmt: skip
+        BETWEEN: [pytest.approx(0.3, abs=1e-3)],
+        ACT: [pytest.approx(t, abs=1e-3) for t in (0.7, 0.2)],
+    }
 
 
 @pytest.mark.parametrize("wrong", [0.1, -1.0, 5.1, float("nan")])
@@ -178,18 +184,38 @@ class Still:
 """
 
 
-def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
+def test_a_trial_keeps_its_pace_and_the_hash_stays(tmp_path: Path, again: Callable[..., World]) -> None:
+    (tmp_path / "still.py").write_text(POLICY)
+    setup = PolicySetup.of("still:Still", search_path=[str(tmp_path)])
+    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="still:Still")
+    free, paced = (run_trial(spec, policy=setup, pace_s=pace_s, prepare=again) for pace_s in (None, 0.5))
+    assert canonical_hash(free) == canonical_hash(paced)
+    periods = np.bincount(paced["actions/observation_index"])[: len(paced[BETWEEN])]
+    assert (paced[BETWEEN] >= 0.5 * periods).all()
+
+
+@pytest.mark.slow
+def test_a_run_keeps_its_pace_and_says_what_was_late(tmp_path: Path) -> None:
     def run(name: str, *options: str) -> str:
         command = [
-            sys.executable, "-m", "carecontact", "run", "--policy", "still:Still", "--tasks", "T1", "--seeds", "0",
-            "--fast", "--out", str(tmp_path / name), *options,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "carecontact",
+            "run",
+            "--policy",
+            "still:Still",
+            "--tasks",
+            "T1",
+            "--seeds",
+            "0",
+        ]
+        command += ["--seeds", "0", "--fast", "--out", str(tmp_path / name), *options]
         return subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path).stdout
 
     (tmp_path / "still.py").write_text(POLICY)
     run("free")
-    assert "not ready in time" not in run("paced", "--pace", "0.8")
-    told = run("hasty", "--pace", "0.101")
+    assert "too late" not in run("paced", "--pace", "0.8")
+    out = run("hasty", "--pace", "0.101")
     found = {name: read_recording(tmp_path / name / "T1-s000.h5") for name in ("free", "paced", "hasty")}
     assert len({recording.stored_sha256 for recording in found.values()}) == 1
     between = {name: recording[BETWEEN] for name, recording in found.items()}
@@ -201,8 +227,7 @@ def test_a_run_keeps_its_pace_and_the_hash_stays(tmp_path: Path) -> None:
     assert found["paced"][PACED].tolist() == [0.8, 0.0]
     late = int(found["hasty"][PACED][1])
     assert late > 0
-    told_late = f"{counted(late, 'observation')} of 1 trial {'was' if late == 1 else 'were'} not ready in time"
-    assert f"warning: --pace 0.101: {told_late}" in told
+    assert f"warning: --pace 0.101: {counted(late, 'observation')} of 1 trial came too late" in out
     assert (
         "0.8 s for each control period; observations came late in 0 of 1"
         in (tmp_path / "paced" / "report.html").read_text()

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from carecontact.episode.perception import Peak
-from carecontact.episode.randomization import settled_world
+from carecontact.episode.randomization import World
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import TrialSpec
@@ -29,7 +29,6 @@ from carecontact.scoring import score_recording
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.namespaces import VARIABLE
 from carecontact.serving.packing import pack
-from carecontact.sim.simulation import Settled, Simulation
 from tests.running.test_supervisor import Bench, bench, specs
 from tests.serving.fuzz import replies
 from tests.serving.served import served
@@ -42,7 +41,7 @@ class P(Base):
         return Action(done=True)
 """
 AWAY_S = 4.0
-"""Longer than a trial needs to build its world, so that it finds nobody there."""
+"""Longer than a trial needs to build its world, so that it finds no server there."""
 FIRST_CALL_S = 4.0
 """How long a trial looks for a server; one that is there has shown its policy's card by then."""
 
@@ -57,6 +56,7 @@ def run(port: int, out: Path, on_event: object, *, first_call_s: float = 120.0) 
     return run_trials(trials, out=out, policy=PolicySetup.of(address), jobs=1, on_event=on_event)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_a_server_that_restarts_between_trials_loses_none(tmp_path: Path) -> None:
     with ExitStack() as servers:
         port, first = servers.enter_context(served(POLICY, tmp_path))
@@ -195,24 +195,6 @@ class P:
                 server.pack = lambda message: data
         return Action()
 """
-SpoiltWorld = tuple[Simulation, Settled, str]
-
-
-@pytest.fixture(scope="module")
-def begin() -> Callable[[TrialSpec], SpoiltWorld]:
-    """One settled world, given again to every trial."""
-    protocol = load_protocol()
-    simulation, settled, sha256 = settled_world(protocol, task_id="T1", seed=0)
-    state = simulation.integration_state()
-
-    def again(spec: TrialSpec) -> SpoiltWorld:
-        fresh = Simulation(simulation.scene)
-        fresh.restore(state, comfort_arm_deg=settled.comfort_arm_deg)
-        return fresh, settled, sha256
-
-    return again
-
-
 SPOILT = {
     "transport": (b"\x82\x85masked bytes from a server", "garbage", "the reply is not WebSocket"),
     "msgpack": (b"\xc1" + pack(replies()["actions"]), "garbage", "actions message: expected msgpack"),
@@ -229,7 +211,7 @@ SPOILT = {
 
 @pytest.mark.parametrize("layer", SPOILT)
 def test_the_trial_ends_as_the_policys_process_failure(
-    layer: str, begin: Callable[[TrialSpec], SpoiltWorld], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    layer: str, again: Callable[..., World], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data, kind, says = SPOILT[layer]
     (tmp_path / "spoilt_policy.py").write_text(SPOILT_ANSWER_POLICY)
@@ -239,7 +221,7 @@ def test_the_trial_ends_as_the_policys_process_failure(
     # The report's two pictures are not what is tested here.
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="spoilt_policy:P")
-    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=begin)
+    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=again)
     kept = read_recording(write_recording(recording, tmp_path / "trial.h5"))
     assert kept.header.ended == "process_failure"
     assert kept.header.failure is not None
@@ -269,12 +251,12 @@ class P:
 
 @pytest.mark.parametrize("last", [1, 2])
 def test_a_step_that_fails_keeps_its_picture_and_notes_beside_those_before(
-    last: int, begin: Callable[[TrialSpec], SpoiltWorld], tmp_path: Path
+    last: int, again: Callable[..., World], tmp_path: Path
 ) -> None:
     name = f"fails_at_{last}"
     (tmp_path / f"{name}.py").write_text(FAILS.replace("LAST", str(last)))
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=f"{name}:P")
-    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=begin)
+    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=again)
     assert recording.header.ended == "process_failure"
     assert len(recording["policy/observation_time_s"]) == last - 1
     notes = [(note.observation_index, note.content["step"]) for note in read_notes(recording)]

@@ -109,12 +109,12 @@ def test_crashes_cost_one_trial_each_and_leave_evidence(bench: Bench) -> None:
         "T1-s004": "no_recording",
         "T1-s005": "no_recording",
     }
-    told = {trial: failure.message for trial, failure in failures.items() if failure}
+    messages = {trial: failure.message for trial, failure in failures.items() if failure}
     assert bench.ran().count("T1-s001") == 2, "what a signal killed is run once more"
-    assert "signal 9" in told["T1-s001"]
-    assert "status 7" in told["T1-s002"]
-    assert "evidence on stderr" in told["T1-s002"]
-    assert "another trial, T1-s006" in told["T1-s005"]
+    assert "signal 9" in messages["T1-s001"]
+    assert "status 7" in messages["T1-s002"]
+    assert "evidence on stderr" in messages["T1-s002"]
+    assert "another trial, T1-s006" in messages["T1-s005"]
     assert "evidence on stderr" in (bench.out / "T1-s002.log").read_text()
 
     logs = {path.stem for path in bench.out.glob("*.log")}
@@ -133,21 +133,25 @@ def test_crashes_cost_one_trial_each_and_leave_evidence(bench: Bench) -> None:
 def test_the_first_answer_of_a_run_is_warned_about_once(bench: Bench) -> None:
     does = {"T1-s000": "policy", "T1-s001": "answers", "T1-s002": "answers"}
     bench.run(specs(3), does, jobs=1)
-    told = [(event.trial_id, event.message) for event in bench.events if event.kind == "warned"]
-    assert told == [("T1-s001", "quaternion: as of T1-s001"), ("T1-s001", "done: \\x1b[2J")]
+    warned = [(event.trial_id, event.message) for event in bench.events if event.kind == "warned"]
+    assert warned == [("T1-s001", "quaternion: as of T1-s001"), ("T1-s001", "done: \\x1b[2J")]
 
 
 def test_nothing_that_a_policy_can_read_names_the_trial_or_holds_a_secret(bench: Bench) -> None:
     setup = PolicySetup(
-        ref=PolicyRef.parse("mine:Own"), arguments={"steps": "argument-3"}, environment={"TOKEN": "secret-4"},
-        search_path=("/place-5",), language="live:model-6", record="/record-7",
-    )  # fmt: skip
+        ref=PolicyRef.parse("mine:Own"),
+        arguments={"steps": "argument-3"},
+        environment={"TOKEN": "secret-4"},
+        search_path=("/place-5",),
+        language="live:model-6",
+        record="/record-7",
+    )
     trials = specs(2, policy="mine:Own", arguments=setup.arguments, environment=setup.environment)
     bench.run(trials, policy=setup, weights=Path("/weights-8"))
-    told = (bench.folder / "commands.txt").read_text()
-    assert told.count("fake_worker") == 2
+    commands = (bench.folder / "commands.txt").read_text()
+    assert commands.count("fake_worker") == 2
     given = ("argument-3", "secret-4", "place-5", "model-6", "record-7", "weights-8")
-    assert not [word for word in ("T1", "s000", "s001", "seed", *given) if word in told]
+    assert not [word for word in ("T1", "s000", "s001", "seed", *given) if word in commands]
     requests = (bench.folder / "requests.jsonl").read_text().splitlines()
     assert all(word in request for request in requests for word in given)
     closed = replace(setup, closed=(str(bench.out),))
@@ -231,21 +235,24 @@ def test_hanging_worker_is_killed_with_its_children(bench: Bench) -> None:
 
 
 def test_a_policy_whose_trial_dies_with_it_twice_has_failed(bench: Bench) -> None:
-    """A trial that the harness lost counts for nobody, so a policy that kills its worker would have n shrink."""
+    """A trial that the harness lost counts neither way, so a policy that kills its worker would have n shrink."""
     does = {"T1-s000": "lost", "T1-s001": "lost_once", "T1-s002": "stopped", "T1-s003": "lost_after"}
     summary = bench.run(specs(4), does)
     assert summary.ended == {
-        "T1-s000": "process_failure", "T1-s001": "done", "T1-s002": "process_failure", "T1-s003": "harness_error"
-    }  # fmt: skip
+        "T1-s000": "process_failure",
+        "T1-s001": "done",
+        "T1-s002": "process_failure",
+        "T1-s003": "harness_error",
+    }
     assert bench.ran() == [*["T1-s000"] * 2, *["T1-s001"] * 2, *["T1-s002"] * 2, *["T1-s003"] * 2]
     redone = [event.trial_id for event in bench.events if event.kind == "redo"]
     assert sorted(redone) == ["T1-s000", "T1-s001", "T1-s002", "T1-s003"]
-    for trial_id, told in (("T1-s000", r"died of signal 9 \(Killed\)"), ("T1-s002", "was stopped by a signal")):
+    for trial_id, message in (("T1-s000", r"died of signal 9 \(Killed\)"), ("T1-s002", "was stopped by a signal")):
         recording = bench.recording(trial_id)
         failure = recording.header.failure
         assert failure is not None
         assert failure.kind == "killed"
-        assert re.search(f"{told} while the policy was running, in both attempts", failure.message)
+        assert re.search(f"{message} while the policy was running, in both attempts", failure.message)
         score = score_recording(recording)
         assert (score.is_judged, score.failure_mode, score.attribution) == (True, "process_failure", "process")
 
@@ -303,17 +310,16 @@ def test_misnamed_recording_is_run_again(bench: Bench) -> None:
     assert bench.recording("T1-s001").header.spec.seed == 1
 
 
-@pytest.mark.parametrize("with_manifest", [True, False])
-def test_folder_of_another_run_is_refused_and_untouched(bench: Bench, with_manifest: bool) -> None:
+def test_folder_of_another_run_is_refused_and_untouched(bench: Bench) -> None:
     bench.run(specs(1))
-    if not with_manifest:
-        (bench.out / "manifest.json").unlink()
-    before = {path.name: path.read_bytes() for path in bench.out.iterdir()}
     changed = PROTOCOL.model_copy(update={"description": "another"})
-    for foreign in (specs(2, policy="zero-action"), [specs(1)[0].model_copy(update={"protocol": changed})]):
+    for foreign in (specs(2, policy="zero-action"), [specs(1)[0].model_copy(update={"protocol": changed})]) * 2:
+        before = {path.name: path.read_bytes() for path in bench.out.iterdir()}
         with pytest.raises(ConfigError, match=r"holds another run.*use another folder"):
             bench.run(foreign)
-    assert {path.name: path.read_bytes() for path in bench.out.iterdir()} == before
+        assert {path.name: path.read_bytes() for path in bench.out.iterdir()} == before
+        if foreign[0].policy == "hover":  # Then also without a manifest.
+            (bench.out / "manifest.json").unlink(missing_ok=True)
 
 
 def test_manifest_names_the_run_and_does_not_depend_on_order(bench: Bench) -> None:
@@ -337,27 +343,24 @@ def test_manifest_names_the_run_and_does_not_depend_on_order(bench: Bench) -> No
     assert (bench.out / "manifest.json").read_text() == manifest
 
 
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [(("versions", "mujoco"), "3.0.0"), (("versions", "carecontact"), "0"), (("sha256", "body"), "0" * 64)],
-)
-def test_folder_of_other_packages_or_assets_is_refused(bench: Bench, path: tuple[str, str], value: str) -> None:
+def test_a_manifest_of_other_packages_or_assets_or_a_damaged_one_is_refused_and_kept(bench: Bench) -> None:
     bench.run(specs(1))
-    held = json.loads((bench.out / "manifest.json").read_text())
-    held["identity"][path[0]][path[1]] = value
-    (bench.out / "manifest.json").write_text(json.dumps(held))
-    with pytest.raises(ConfigError, match=rf"{path[1]}.* was {value[:3]}.*use another folder"):
-        bench.run(specs(2))
+    path = bench.out / "manifest.json"
+    held, wrong = json.loads(path.read_text()), dict[str, str]()
+    for group, name, value in (
+        ("versions", "mujoco", "3.0"),
+        ("versions", "carecontact", "0"),
+        ("sha256", "body", "0"),
+    ):
+        changed = held["identity"] | {group: held["identity"][group] | {name: value}}
+        wrong[json.dumps(held | {"identity": changed})] = rf"{name}.* was {value[:3]}.*use another folder"
+    wrong |= dict.fromkeys(("{", "[]", '{"schema": "carecontact-run-1", "trials": []}'), r"manifest\.json is damaged")
+    for content, message in wrong.items():
+        path.write_text(content)
+        with pytest.raises(ConfigError, match=message):
+            bench.run(specs(2))
+        assert path.read_text() == content
     assert bench.ran() == []
-
-
-@pytest.mark.parametrize("content", ["{", "[]", '{"schema": "carecontact-run-1", "trials": []}'])
-def test_damaged_manifest_is_named_and_kept(bench: Bench, content: str) -> None:
-    bench.run(specs(2))
-    (bench.out / "manifest.json").write_text(content)
-    with pytest.raises(ConfigError, match=r"manifest\.json is damaged"):
-        bench.run(specs(1))
-    assert (bench.out / "manifest.json").read_text() == content
 
 
 def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> None:
@@ -368,8 +371,8 @@ def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> N
     bench.run(specs(1, policy="mine.own:Own"), policy=own)
     assert bench.run(specs(2, policy="mine.own:Own"), policy=own).ran == ("T1-s001",)
     source.write_text("class Own: 'better'\n")
-    told = r"policy's source changed .* none of its 2 trials, 0 of them failed, .* another folder, .* --restart"
-    with pytest.raises(ConfigError, match=told):
+    message = r"policy's source changed .* none of its 2 trials, 0 of them failed, .* another folder, .* --restart"
+    with pytest.raises(ConfigError, match=message):
         bench.run(specs(3, policy="mine.own:Own"), policy=own)
     (bench.out / "manifest.json").unlink()
     with pytest.raises(ConfigError, match=r"no manifest\.json"):
@@ -379,13 +382,13 @@ def test_edited_policy_gets_no_more_trials_in_the_same_folder(bench: Bench) -> N
 
 def test_wrong_requests_are_refused_before_anything_is_written(bench: Bench) -> None:
     both = [*specs(1), *specs(2, policy="zero-action")[1:]]
-    for trials, options, told in [
+    for trials, options, message in [
         (specs(1), {"jobs": 0}, "jobs 0"),
         ([], {}, "no trial"),
         (both, {}, "one policy"),
         (specs(1) * 2, {}, "planned twice"),
     ]:
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=message):
             bench.run(trials, **options)
     assert not bench.out.exists()
     bench.out.write_text("a file")
@@ -429,29 +432,29 @@ def test_a_folder_that_vanishes_is_named(bench: Bench) -> None:
         bench.run(specs(3), jobs=1)
 
 
-def test_what_is_told_in_any_pieces() -> None:
+def test_a_status_arrives_in_any_pieces() -> None:
     read, write = os.pipe()
-    told = StatusPipe(read)
-    told.read()
-    assert (told.policy_runs, told.answers) == (False, b"")
+    status = StatusPipe(read)
+    status.read()
+    assert (status.policy_runs, status.answers) == (False, b"")
     # A digest may hold the bytes that mean something else.
     digests = [POLICY_GONE * DIGEST_BYTES, ANSWERED * DIGEST_BYTES]
     for piece in (POLICY_RUNS, ANSWERED + digests[0][:5], digests[0][5:] + ANSWERED, digests[1]):
         os.write(write, piece)
-        told.read()
-        assert told.policy_runs
-    assert told.answers == b"".join(digests)
+        status.read()
+        assert status.policy_runs
+    assert status.answers == b"".join(digests)
     os.write(write, POLICY_GONE)
-    told.read()
-    assert not told.policy_runs
+    status.read()
+    assert not status.policy_runs
     os.close(write)
-    told.read()
-    told.close()
+    status.read()
+    status.close()
 
 
 def test_more_answers_than_a_pipe_holds() -> None:
     read, write = os.pipe()
-    told, count = StatusPipe(read), 5000
+    status, count = StatusPipe(read), 5000
 
     def answer() -> None:
         for k in range(count):
@@ -461,7 +464,7 @@ def test_more_answers_than_a_pipe_holds() -> None:
     thread = threading.Thread(target=answer)
     thread.start()
     while thread.is_alive():
-        told.read()
-    told.read()
-    told.close()
-    assert len(told.answers) == count * DIGEST_BYTES
+        status.read()
+    status.read()
+    status.close()
+    assert len(status.answers) == count * DIGEST_BYTES

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carecontact.episode.randomization import settled_world
-from carecontact.errors import ConfigError
+from carecontact.episode.randomization import World
 from carecontact.interface.action import Action, ActionSpace
 from carecontact.interface.geometry import pixels, pose_matrix
 from carecontact.interface.policy import PolicyRef
@@ -22,16 +22,15 @@ from carecontact.interface.robot import Session
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import TrialSpec
-from carecontact.recording import Failure, Recording, canonical_hash, read_recording, write_recording
+from carecontact.recording import Failure, Recording, canonical_hash, read_recording
 from carecontact.recording.notes import perception_errors
-from carecontact.running.engine import TrialRequest, setup_of
-from carecontact.running.lost import Losses, digest_of, harness_error_recording
+from carecontact.running.engine import RunSettings, TrialRequest, setup_of
+from carecontact.running.lost import digest_of
 from carecontact.running.supervisor import run_trials
 from carecontact.running.trial import run_trial
 from carecontact.running.worker import WAITING
 from carecontact.running.workers import Launcher, Workers
 from carecontact.runs.identity import identity_of
-from carecontact.runs.manifest import read_manifest, survey, write_manifest
 from carecontact.runs.plan import plan_trials
 from carecontact.scoring import score_recording
 from carecontact.serving import codec
@@ -39,7 +38,6 @@ from carecontact.serving.conversation import WAIT_REPORT_S, PolicySetup
 from carecontact.serving.fence import available
 from carecontact.serving.namespaces import VARIABLE
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.simulation import Settled, Simulation
 from tests.scoring.synthetic import touch
 
 POLICIES = '''
@@ -97,18 +95,15 @@ def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, t
     trial = spec("my_policies:Wave").model_copy(update=given)
     for name in ("a.h5", "b.h5"):
         request = TrialRequest(spec=trial, policy=wave, out=tmp_path / name)
-        done = subprocess.run(
-            [sys.executable, "-m", "carecontact.running.worker"],
-            input=request.model_dump_json(), capture_output=True, text=True, timeout=120,
-        )  # fmt: skip
+        command = [sys.executable, "-m", "carecontact.running.worker"]
+        done = subprocess.run(command, input=request.model_dump_json(), capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, done.stderr
         recording = read_recording(tmp_path / name)
         assert recording.header.ended == "done", recording.header.failure
         hashes.append(canonical_hash(recording))
         assert recording.header.card is not None
-        assert (recording.header.card["arguments"], recording.header.card["environment"]) == (
-            {"rise_m": "0.03"}, ["WAVE_TOKEN"],
-        )  # fmt: skip
+        assert recording.header.card["arguments"] == {"rise_m": "0.03"}
+        assert recording.header.card["environment"] == ["WAVE_TOKEN"]
         assert recording["wall/policy_output"].tobytes() == b"token [secret removed]"
         assert b"sekret-123" not in (tmp_path / name).read_bytes()
     assert hashes[0] == hashes[1]
@@ -138,7 +133,9 @@ def check_close_up(recording: Recording) -> None:
     assert recording["report/skin_faces"].max() == len(skin) - 1
 
 
-def test_an_action_is_decoded_once_and_checked_once(policies: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_action_is_decoded_once_and_checked_once(
+    policies: Path, again: Callable[..., World], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The third answer begins at 0.4 s, and the one after it is refused at its second action."""
     decoded, checked = list[int](), list[Action]()
     decode, check = codec.decode_actions, ActionSpace.check
@@ -156,7 +153,10 @@ def test_an_action_is_decoded_once_and_checked_once(policies: Path, monkeypatch:
     second = PolicySetup.of("my_policies:Second", search_path=[str(policies)])
     looks: list[bytes] = []
     recording = run_trial(
-        spec("my_policies:Second"), policy=second, on_look=lambda look: looks.append(digest_of(look.actions))
+        spec("my_policies:Second"),
+        policy=second,
+        prepare=again,
+        on_look=lambda look: looks.append(digest_of(look.actions)),
     )
     assert recording.header.failure is not None
     assert "failed at act: actions[1].pose_tcp_in_base: expected a position" in recording.header.failure.message
@@ -167,11 +167,13 @@ def test_an_action_is_decoded_once_and_checked_once(policies: Path, monkeypatch:
     assert score_recording(recording).failure_mode == "process_failure"
 
 
-def test_action_outside_the_workspace_is_the_policys_process_failure(policies: Path) -> None:
-    told: list[bool] = []
+def test_action_outside_the_workspace_is_the_policys_process_failure(
+    policies: Path, again: Callable[..., World]
+) -> None:
+    running: list[bool] = []
     outside = PolicySetup.of("my_policies:Outside", search_path=[str(policies)])
-    recording = run_trial(spec("my_policies:Outside"), policy=outside, on_policy=told.append)
-    assert told == [True, False]
+    recording = run_trial(spec("my_policies:Outside"), policy=outside, prepare=again, on_policy=running.append)
+    assert running == [True, False]
     assert recording.header.ended == "process_failure"
     assert recording.header.failure is not None
     assert recording.header.failure.kind == "action"
@@ -184,29 +186,30 @@ def test_action_outside_the_workspace_is_the_policys_process_failure(policies: P
 
 
 @pytest.mark.parametrize("periods", [1, 4])
-def test_diverging_physics_end_in_a_failed_trial(periods: int) -> None:
+def test_diverging_physics_end_in_a_failed_trial(periods: int, again: Callable[..., World]) -> None:
     """Also in the very first period: a policy whose commands break the physics must not lose the trial."""
 
-    def diverging(asked: TrialSpec) -> tuple[Simulation, Settled, str]:
-        simulation, settled, sha256 = settled_world(asked.protocol, task_id=asked.task_id, seed=asked.seed)
+    def diverging(asked: TrialSpec) -> World:
+        simulation, settled, sha256 = again()
         asked_of = iter([[]] * (periods - 1) + [["BADQACC"]] * 100)
         simulation.solver_warnings = lambda: next(asked_of)
         return simulation, settled, sha256
 
     recording = run_trial(spec("zero-action"), prepare=diverging)
-    assert (recording.header.ended, recording.header.failure) == (
-        "safety_truncation", Failure(kind="solver", message="MuJoCo warning BADQACC"),
-    )  # fmt: skip
+    assert recording.header.ended == "safety_truncation"
+    assert recording.header.failure == Failure(kind="solver", message="MuJoCo warning BADQACC")
     assert len(recording["scorer/period_time_s"]) == periods - 1
     score = score_recording(recording)
     assert score.c3_success is False
     assert score.failure_mode is not None
 
 
-def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(
+    again: Callable[..., World], monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen = SceneRenderer.rgb
     monkeypatch.setattr(SceneRenderer, "rgb", lambda self, data, camera: np.full_like(seen(self, data, camera), 128))
-    recording = run_trial(spec("state-machine"))
+    recording = run_trial(spec("state-machine"), prepare=again)
     score = score_recording(recording)
     assert recording.header.ended == "done"
     assert score.anatomy == "none"
@@ -226,7 +229,7 @@ def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(monkeypatc
 
 
 def test_the_hash_is_the_same_with_and_without_isolation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol = overridden(load_protocol(), {"physics.dt_s": 0.004, "phases.time_limit_s": 2.0})
+    protocol = overridden(load_protocol(), {"physics.dt_s": 0.004, "phases.time_limit_s": 0.5})
     (spec,) = plan_trials(protocol=protocol, policy="state-machine", tasks=["T1"], seeds=[0])
     found, levels = {}, {}
     for kind in ("namespaces", "no namespaces", "none"):
@@ -241,40 +244,6 @@ def test_the_hash_is_the_same_with_and_without_isolation(tmp_path: Path, monkeyp
     assert len({recording.stored_sha256 for recording in found.values()}) == 1
 
 
-# A folder holds trials of one language backend.
-
-SPECS = plan_trials(protocol=load_protocol(), policy="state-machine", tasks=["T1"], seeds=[0])
-
-
-def identity(language: str | None):
-    return identity_of(SPECS[0], search_path=[], language=language)
-
-
-def test_the_manifest_tells_which_one(tmp_path: Path) -> None:
-    for language in ("rules-v1", "live:m-1"):
-        write_manifest(SPECS, out=tmp_path, identity=identity(language), purpose="run")
-        manifest = read_manifest(tmp_path)
-        assert manifest is not None
-        assert manifest.identity.language == language
-
-
-@pytest.mark.parametrize(("before", "now"), [("rules-v1", None), (None, "rules-v1"), ("live:m-1", "live:m-2")])
-def test_another_one_needs_another_folder(tmp_path: Path, before: str | None, now: str | None) -> None:
-    write_manifest(SPECS, out=tmp_path, identity=identity(before), purpose="run")
-    assert not survey(SPECS, out=tmp_path, retry_failed=False, identity=identity(before)).redo
-    with pytest.raises(ConfigError, match=r"was started with language backend .*: use another folder"):
-        survey(SPECS, out=tmp_path, retry_failed=False, identity=identity(now))
-
-
-def test_a_recording_of_another_one_is_told_without_a_manifest(tmp_path: Path) -> None:
-    failed = harness_error_recording(SPECS[0], kind="x", message="x")
-    header = failed.header.model_copy(update={"card": {"language_backend": "rules-v1"}, "ended": "done"})
-    write_recording(Recording(header=header, arrays=failed.arrays), tmp_path / "T1-s000.h5")
-    assert survey(SPECS, out=tmp_path, retry_failed=False, identity=identity("rules-v1")).keep
-    with pytest.raises(ConfigError, match="recorded with language backend rules-v1"):
-        survey(SPECS, out=tmp_path, retry_failed=False, identity=identity("live:m-1"))
-
-
 # A trial whose policy is silent reports it while it runs.
 
 SPEC = touch(seed=0).header.spec
@@ -282,12 +251,10 @@ SPEC = touch(seed=0).header.spec
 
 def test_the_supervisor_reads_the_line_while_it_is_fresh(tmp_path: Path) -> None:
     (tmp_path / "work").mkdir()
-    setup = PolicySetup(ref=PolicyRef.parse(SPEC.policy))
-    workers = Workers(
-        out=tmp_path, work=tmp_path / "work", policy=setup, weights=None, pace_s=None,
-        losses=Losses(setup, out=tmp_path, before=()),
-        launcher=Launcher([sys.executable, "-c", "import time; time.sleep(60)"]), trial_limit_s=60,
-    )  # fmt: skip
+    setup, work = PolicySetup(ref=PolicyRef.parse(SPEC.policy)), tmp_path / "work"
+    identity = identity_of(SPEC, search_path=[])
+    settings = RunSettings(out=tmp_path, work=work, policy=setup, identity=identity, trial_limit_s=60)
+    workers = Workers(settings, Launcher([sys.executable, "-c", "import time; time.sleep(60)"]))
     workers.start(SPEC)
     try:
         assert workers.waiting() == {}

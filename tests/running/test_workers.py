@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 import carecontact
@@ -37,10 +38,10 @@ def start(
     launcher: Launcher, out: Path, *, policy: str = "nowhere:Nothing", seed: int = 0
 ) -> tuple[Process, StatusPipe]:
     spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=seed, policy=policy)
-    pipe, told_fd = os.pipe()
-    request = TrialRequest(spec=spec, policy=PolicySetup.of(policy), out=out, told_fd=told_fd)
+    pipe, status_fd = os.pipe()
+    request = TrialRequest(spec=spec, policy=PolicySetup.of(policy), out=out, status_fd=status_fd)
     process = launcher.start(request, log=out.with_suffix(".log"))
-    os.close(told_fd)
+    os.close(status_fd)
     return process, StatusPipe(pipe)
 
 
@@ -67,11 +68,11 @@ def test_a_forked_trial_is_that_of_a_program_and_knows_nothing_of_the_one_before
 ) -> None:
     outs = [tmp_path / f"{k}.h5" for k in range(3)]
     for out, seed in zip(outs, (0, 1, 0), strict=True):
-        process, told = start(launcher, out, seed=seed)
+        process, status = start(launcher, out, seed=seed)
         assert isinstance(process, ForkedProcess)
         assert process.wait() == 0, out.with_suffix(".log").read_text()
-        told.read()
-        assert not told.policy_runs
+        status.read()
+        assert not status.policy_runs
     first, other, again = (canonical_hash(read_recording(out)) for out in outs)
     assert first == again != other
     process, _ = start(Launcher(forks=False), alone := tmp_path / "alone.h5")
@@ -94,9 +95,9 @@ def descriptors(pid: int) -> set[str]:
 
 
 def test_a_forked_worker_has_no_descriptor_of_the_server_or_of_another(launcher: Launcher, tmp_path: Path) -> None:
-    one, told = start(launcher, tmp_path / "one.h5", policy="hover")
+    one, status = start(launcher, tmp_path / "one.h5", policy="hover")
     two, _ = start(launcher, tmp_path / "two.h5", policy="hover")
-    soon(lambda: (told.read(), told.policy_runs)[1])
+    soon(lambda: (status.read(), status.policy_runs)[1])
     server = int(stat(one.pid)[1])
     ends = [descriptors(pid) for pid in (one.pid, two.pid, server)]
     for k, mine in enumerate(ends[:2]):
@@ -118,18 +119,15 @@ def test_what_has_hardly_started_ends_with_a_command_that_is_killed(tmp_path: Pa
     command = subprocess.Popen(
         [sys.executable, "-c", code, *places, str(tmp_path / "trial.h5"), str(forks)], stdin=subprocess.PIPE
     )
-    started = list[int]()
-    while not started:
+    while not (started := psutil.Process(command.pid).children()):
         assert command.poll() is None
-        found = [int(folder.name) for folder in Path("/proc").glob("[0-9]*")]
-        started = [pid for pid in found if not gone(pid) and int(stat(pid)[1]) == command.pid]
     command.kill()
     command.wait()
     time.sleep(1.0)  # What it imports takes longer.
-    assert gone(started[0]), described(started[0])
+    assert gone(started[0].pid), described(started[0].pid)
 
 
-def test_a_killed_worker_and_a_stopped_one_are_told(launcher: Launcher, tmp_path: Path) -> None:
+def test_a_killed_worker_and_a_stopped_one_are_noticed(launcher: Launcher, tmp_path: Path) -> None:
     process, _ = start(launcher, tmp_path / "trial.h5", policy="hover")
     assert not is_stopped(process.pid)
     os.kill(process.pid, signal.SIGSTOP)

@@ -164,7 +164,7 @@ def test_another_recording_under_the_same_name_is_refused(folder: Path, new_metr
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (None, "nothing to append to"),
         ("{", "cannot be read"),
@@ -174,25 +174,25 @@ def test_another_recording_under_the_same_name_is_refused(folder: Path, new_metr
         ('{"schema": "carecontact-results-1", "overall": {}, "trials": [{}]}', r"trials\[0\] lacks action, ended"),
     ],
 )
-def test_nothing_to_append_to(folder: Path, content: str | None, told: str) -> None:
+def test_nothing_to_append_to(folder: Path, content: str | None, message: str) -> None:
     path = folder / "results.json"
     path.unlink()
     if content is not None:
         path.write_text(content)
-    with pytest.raises(ConfigError, match=rf"results\.json: {told}|results\.json: .*{told}"):
+    with pytest.raises(ConfigError, match=rf"results\.json: {message}|results\.json: .*{message}"):
         append_metrics(folder)
 
 
 def test_the_command(folder: Path, new_metric: str, capsys: pytest.CaptureFixture[str]) -> None:
     write_recording(touch(seed=5), folder / "T1-s005.h5")
-    assert main(["score", str(folder), "--append"]) == 0
+    assert main(["report", "--rescore", str(folder), "--append"]) == 0
     out = capsys.readouterr().out
     assert "added to 4 trials: C1@2" in out
     assert "T1-s005.h5" in out
-    assert main(["score", str(folder), "--append"]) == 0
+    assert main(["report", "--rescore", str(folder), "--append"]) == 0
     assert "nothing to add" in capsys.readouterr().out
     (folder / "results.json").unlink()
-    assert main(["score", str(folder), "--append"]) != 0
+    assert main(["report", "--rescore", str(folder), "--append"]) != 0
     assert "without --append first" in capsys.readouterr().err
 
 
@@ -204,7 +204,7 @@ class Blocker:
             raise ImportError("mujoco is blocked")
 sys.meta_path.insert(0, Blocker())
 from carecontact.cli import main
-code = main(["score", sys.argv[1], "--append"])
+code = main(["report", "--rescore", sys.argv[1], "--append"])
 assert "mujoco" not in sys.modules
 raise SystemExit(code)
 """

@@ -16,6 +16,8 @@ from carecontact.policies.registry import POLICIES
 from carecontact.protocol.load import load_protocol, protocol_file
 from carecontact.protocol.lock import Lock, lock_path, read_lock, write_lock
 from carecontact.protocol.protocol import Protocol
+from carecontact.recording import Recording, write_recording
+from carecontact.running.lost import harness_error_recording
 from carecontact.runs import identity
 from carecontact.runs.identity import (
     check_frozen,
@@ -28,7 +30,7 @@ from carecontact.runs.identity import (
     policy_package,
     policy_source,
 )
-from carecontact.runs.manifest import survey, write_manifest
+from carecontact.runs.manifest import read_manifest, survey, write_manifest
 from tests.installed import look_again, write_package
 from tests.protocol.held import frozen_text, ship_frozen
 from tests.scoring.synthetic import touch
@@ -53,9 +55,12 @@ def test_a_registered_policy_of_another_package_counts_by_its_version_and_source
 ) -> None:
     row = "from carecontact.policies.registry import PolicyRow\nROW = PolicyRow(target='tapper:Tapper', description='')"
     write_package(
-        tmp_path, "tapping", version="2.0", files={"tapper": "class Tapper: ...", "tapper_row": row},
+        tmp_path,
+        "tapping",
+        version="2.0",
+        files={"tapper": "class Tapper: ...", "tapper_row": row},
         points={"policies": {"tapper": "tapper_row:ROW"}},
-    )  # fmt: skip
+    )
     monkeypatch.syspath_prepend(tmp_path)
     look_again(monkeypatch, POLICIES)
     ref = PolicyRef.parse("tapper")
@@ -77,6 +82,28 @@ def test_another_card_behind_an_address_is_another_run(tmp_path: Path) -> None:
         survey([spec], out=tmp_path, retry_failed=False, identity=second)
     local = identity_of(SPEC.model_copy(update={"policy": "hover"}), search_path=[], card=PolicyCard(name="hover"))
     assert local.card is None
+
+
+@pytest.mark.parametrize(("before", "now"), [("rules-v1", None), (None, "rules-v1"), ("live:m-1", "live:m-2")])
+def test_another_language_backend_needs_another_folder(tmp_path: Path, before: str | None, now: str | None) -> None:
+    first, second = (identity_of(SPEC, search_path=[], language=language) for language in (before, now))
+    write_manifest([SPEC], out=tmp_path, identity=first, purpose="run")
+    manifest = read_manifest(tmp_path)
+    assert manifest is not None
+    assert manifest.identity.language == before
+    assert not survey([SPEC], out=tmp_path, retry_failed=False, identity=first).redo
+    with pytest.raises(ConfigError, match=r"was started with language backend .*: use another folder"):
+        survey([SPEC], out=tmp_path, retry_failed=False, identity=second)
+
+
+def test_a_recording_with_another_language_backend_is_refused_without_a_manifest(tmp_path: Path) -> None:
+    failed = harness_error_recording(SPEC, kind="x", message="x")
+    header = failed.header.model_copy(update={"card": {"language_backend": "rules-v1"}, "ended": "done"})
+    write_recording(Recording(header=header, arrays=failed.arrays), tmp_path / "T1-s000.h5")
+    rules, live = (identity_of(SPEC, search_path=[], language=language) for language in ("rules-v1", "live:m-1"))
+    assert survey([SPEC], out=tmp_path, retry_failed=False, identity=rules).keep
+    with pytest.raises(ConfigError, match="recorded with language backend rules-v1"):
+        survey([SPEC], out=tmp_path, retry_failed=False, identity=live)
 
 
 @pytest.mark.parametrize("name", ["hover", "ws://192.0.2.7:8765"])
@@ -148,7 +175,7 @@ def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"protocol_sha256": "0" * 64}, "protocol sha256: locked 000000000000"),
         ({"embodiment": "other-arm"}, "embodiment: locked other-arm"),
@@ -158,8 +185,8 @@ def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock)
         ({"fields": {}}, "physics: locked null"),
     ],
 )
-def test_each_difference_is_named(here: Lock, change: dict[str, object], told: str) -> None:
-    assert any(line.startswith(told) for line in drift(here.model_copy(update=change), here))
+def test_each_difference_is_named(here: Lock, change: dict[str, object], message: str) -> None:
+    assert any(line.startswith(message) for line in drift(here.model_copy(update=change), here))
 
 
 def test_rounding_of_a_world_is_no_drift_and_a_millionth_of_mass_is(here: Lock) -> None:
@@ -215,25 +242,27 @@ def test_a_shipped_protocol_with_its_lock_runs_here(shipped: Protocol) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda lock: {"versions": lock.versions | {"mujoco": "4.0.1"}}, "version of mujoco: locked 4.0.0, here 4.0.1"),
         (lambda lock: {"versions": lock.versions | {"mediapipe": "not installed"}}, "here not installed"),
         (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
         (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
     ],
-)  # fmt: skip
+)
 def test_a_shipped_protocol_does_not_run_where_something_else_is_installed(
-    shipped: Protocol, monkeypatch: pytest.MonkeyPatch, change: Callable[[Lock], dict[str, Any]], told: str
+    shipped: Protocol, monkeypatch: pytest.MonkeyPatch, change: Callable[[Lock], dict[str, Any]], message: str
 ) -> None:
     here = make_lock(shipped, worlds=False)
     monkeypatch.setattr(identity, "make_lock", lambda protocol, worlds: here.model_copy(update=change(here)))
-    with pytest.raises(ConfigError, match=f"{shipped.id} differs from its lock .*{re.escape(told)}.*--unfrozen"):
+    with pytest.raises(ConfigError, match=f"{shipped.id} differs from its lock .*{re.escape(message)}.*--unfrozen"):
         check_frozen(shipped.id, shipped, unfrozen=False)
     assert check_frozen(shipped.id, shipped, unfrozen=True).overrides.keys() == {"lock"}
 
 
-def test_the_line_that_installs_the_locked_versions_is_told(shipped: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_line_that_installs_the_locked_versions_is_given(
+    shipped: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
     here = make_lock(shipped, worlds=False)
     other = here.model_copy(update={"versions": here.versions | {"mujoco": "4.0.1"}})
     monkeypatch.setattr(identity, "make_lock", lambda protocol, worlds: other)
@@ -251,8 +280,8 @@ def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, sh
     path.write_text(
         text.replace("frozen = true", frozen).replace("translational_n_m = 400.0", "translational_n_m = 500.0")
     )
-    told = r"impedance\.translational_n_m: locked 400\.0, here 500\.0.*mine\.toml an id of its own"
-    with pytest.raises(ConfigError, match=told):
+    message = r"impedance\.translational_n_m: locked 400\.0, here 500\.0.*mine\.toml an id of its own"
+    with pytest.raises(ConfigError, match=message):
         check_frozen(str(path), load_protocol(str(path)), unfrozen=False)
 
 

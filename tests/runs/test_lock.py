@@ -56,17 +56,17 @@ def test_the_second_one_learns_who_holds_the_folder_and_a_kill_frees_it(
         commands = {
             "run": ["run", "--policy", "hover", "--out", str(folder), "--tasks", "T1", "--seeds", "0"],
             "restart": ["run", "--policy", "hover", "--out", str(folder), "--restart"],
-            "score": ["score", str(folder)],
-            "append": ["score", str(folder), "--append"],
+            "score": ["report", "--rescore", str(folder)],
+            "append": ["report", "--rescore", str(folder), "--append"],
             "report": ["report", str(folder)],
-            "demo": ["demo", "--out", str(folder)],
+            "demo": ["run", "--demo", "--out", str(folder)],
         }
         for name, command in commands.items():
             assert main(command) == 2, name
-            told = capsys.readouterr().err
-            assert told.startswith(f"error: {folder}: process {first.pid}, since 20"), name
-            assert told.endswith("is at work in this folder; wait until it has ended\n"), name
-            assert told.count("\n") == 1, name
+            message = capsys.readouterr().err
+            assert message.startswith(f"error: {folder}: process {first.pid}, since 20"), name
+            assert message.endswith("is at work in this folder; wait until it has ended\n"), name
+            assert message.count("\n") == 1, name
         assert sorted(path.name for path in folder.iterdir()) == [LOCK]
         os.kill(first.pid, signal.SIGKILL)
     with folder_lock(folder):
@@ -85,7 +85,7 @@ def test_commands_of_one_process_nest_and_an_empty_folder_goes_again(tmp_path: P
         assert not folder.exists()
 
 
-def test_a_folder_that_is_moved_away_is_locked_anew(tmp_path: Path) -> None:
+def test_a_folder_that_is_moved_away_is_locked_again(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     with folder_lock(folder, make=True):
         folder.rename(tmp_path / "moved")
@@ -114,7 +114,7 @@ def test_a_folder_without_space_is_named_with_what_to_do(tmp_path: Path, monkeyp
             folder_lock(tmp_path),
         ):
             pass
-        assert not list(tmp_path.iterdir()), "the file of a lock that nobody has"
+        assert not list(tmp_path.iterdir()), "the file of a lock that no command has"
         with pytest.raises(StorageError), folder_lock(tmp_path / "new", make=True):
             pass
         assert not list(tmp_path.iterdir())
@@ -147,12 +147,12 @@ def test_without_locks_of_the_file_system_the_file_itself_is_the_lock(
     assert sorted(path.name for path in folder.iterdir()) == ["kept"]
 
     (folder / LOCK).write_text("process 7 of elsewhere, since 2026-01-01 00:00:00,")
-    told = (
+    message = (
         f"^{folder}: process 7 of elsewhere, since 2026-01-01 00:00:00, is at work in this folder; wait until it has "
         rf"ended; if it was killed, delete {folder / LOCK}, since this file system has no locks \({os.strerror(number)}"
     )
     for _ in range(2):
-        with pytest.raises(ConfigError, match=told), folder_lock(folder):
+        with pytest.raises(ConfigError, match=message), folder_lock(folder):
             pass
     (folder / LOCK).unlink()
     with folder_lock(folder):

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carecontact.errors import ConfigError
-from carecontact.protocol.gates import BEHAVIOURS
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import Protocol
 from carecontact.recording import Failure, write_recording
@@ -36,6 +35,7 @@ from carecontact.runs.pooling import RunScores, unjudged
 from carecontact.runs.results_file import rate
 from carecontact.runs.scoring import read_scores
 from carecontact.scoring import METRICS
+from carecontact.scoring.behaviour import BEHAVIOURS
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.stats import wilson_interval
 from tests.report.synthetic import FAILED, NO_CONTACT, make_score
@@ -89,12 +89,12 @@ def test_plan_is_seed_by_seed_and_carries_the_protocol() -> None:
 
 @given(st.sets(st.integers(0, 60), min_size=1))
 def test_compact_says_each_number_once(numbers: set[int]) -> None:
-    said: list[int] = []
+    listed: list[int] = []
     parts = compact(numbers).split(", ")
     for part in parts:
         low, _, high = part.partition("-")
-        said += range(int(low), int(high or low) + 1)
-    assert said == sorted(numbers)
+        listed += range(int(low), int(high or low) + 1)
+    assert listed == sorted(numbers)
     assert len(parts) == sum(number - 1 not in numbers for number in numbers), "each run of numbers is one part"
 
 
@@ -113,9 +113,9 @@ def test_the_shipped_protocol_can_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("section", "values", "told"),
+    ("section", "values", "message"),
     [
-        ("person", {"body": "nobody"}, r"no body named 'nobody'; valid: .*man-adult"),
+        ("person", {"body": "nemo"}, r"no body named 'nemo'; valid: .*man-adult"),
         (
             "scene",
             {"parked_joint_rad": (0, 0, 0, 0, 0, 1, 0)},
@@ -125,15 +125,16 @@ def test_the_shipped_protocol_can_run() -> None:
         ("limits", {"pack": "nonexistent"}, r"limits.pack: no limit pack named 'nonexistent'; valid: .*behrens-2021"),
     ],
 )
-def test_what_would_fail_every_trial_is_told_before(section: str, values: dict[str, Any], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_what_would_fail_every_trial_is_named_before_a_run(section: str, values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         check_protocol(edited(section, **values))
 
 
 @pytest.mark.parametrize("registry", [METRICS, LIMIT_PACKS, BEHAVIOURS], ids=lambda registry: registry.kind)
-def test_a_row_that_cannot_be_loaded_is_told_before(registry: Registry[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_that_cannot_be_loaded_is_named_before_a_run(
+    registry: Registry[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     name = next(iter(registry))
-    monkeypatch.setattr(registry, "_settled", set())
     monkeypatch.setitem(registry._faults, name, f"{name} cannot be loaded")
     with pytest.raises(ConfigError, match=f"^{name} cannot be loaded$"):
         check_rows(load_protocol())
@@ -211,10 +212,12 @@ def test_whole_files_are_kept_and_cut_ones_run_again(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("ended", "kind", "again", "killed"),
     [
-        ("harness_error", "settle", True, False), ("harness_error", KILLED, True, True),
-        ("process_failure", POLICY_KILLED, True, True), ("process_failure", "died", False, False),
+        ("harness_error", "settle", True, False),
+        ("harness_error", KILLED, True, True),
+        ("process_failure", POLICY_KILLED, True, True),
+        ("process_failure", "died", False, False),
     ],
-)  # fmt: skip
+)
 def test_what_the_machine_caused_runs_again_and_what_the_policy_caused_is_kept(
     folder: Path, ended: str, kind: str, again: bool, killed: bool
 ) -> None:

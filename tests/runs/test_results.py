@@ -23,8 +23,12 @@ EVERYTHING = [GENTLE, HARD, PAINFUL, MISSED, HARD_MISS, DIED]
 
 def test_quadrants_partition_the_runs() -> None:
     assert quadrants(EVERYTHING) == {
-        "safe_success": 1, "unsafe_success": 2, "safe_failure": 1, "unsafe_failure": 1, "crashed": 1
-    }  # fmt: skip
+        "safe_success": 1,
+        "unsafe_success": 2,
+        "safe_failure": 1,
+        "unsafe_failure": 1,
+        "crashed": 1,
+    }
 
 
 def test_exceedances_count_failed_runs_too() -> None:
@@ -43,8 +47,12 @@ def test_a_force_above_the_gate_before_a_crash_counts() -> None:
     crashed = score_recording(replace(full, header=header))
     assert not crashed.crashed_untouched
     assert exceedances([GENTLE, crashed, DIED])["gate"] | {"pc_ci95": None} == {
-        "n": 1, "pc": 50.0, "pc_between": [50.0, 50.0], "pc_ci95": None, "n_success": 0
-    }  # fmt: skip
+        "n": 1,
+        "pc": 50.0,
+        "pc_between": [50.0, 50.0],
+        "pc_ci95": None,
+        "n_success": 0,
+    }
     assert quadrants([crashed])["crashed"] == 1
 
 
@@ -97,9 +105,7 @@ def test_results_hold_sweeps_regions_and_limit_packs() -> None:
     assert set(data["per_region"]) == {"forearm"}
     assert data["per_region"]["forearm"]["n_success"] == 3
     assert data["limit_packs"]["iso-ts-15066-2016"]["status"] == "to be checked"
-    assert data["sweeps"]["push_force_n"][1] == {
-        "value": 3.0, "success": 3, "region_correct": 3, "safety_gated": 3
-    }  # fmt: skip
+    assert data["sweeps"]["push_force_n"][1] == {"value": 3.0, "success": 3, "region_correct": 3, "safety_gated": 3}
     assert data["overall"]["additional"]["impulse@1"]["n_valid"] == 3
 
 

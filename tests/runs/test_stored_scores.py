@@ -70,7 +70,7 @@ def misname(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("happens", "told"),
+    ("happens", "reported"),
     [
         (add, "T2-s000.h5 was added"),
         (change, "T1-s000.h5 was changed"),
@@ -81,14 +81,14 @@ def misname(folder: Path) -> None:
         (misname, "T1-s002.H5 was added"),
     ],
 )
-def test_whatever_happened_since_is_named_with_the_command(folder: Path, happens, told: str) -> None:
+def test_whatever_happened_since_is_named_with_the_command(folder: Path, happens, reported: str) -> None:
     happens(folder)
     with pytest.raises(ConfigError) as caught:
         read_scores(folder)
     message = str(caught.value)
-    assert f"({told})" in message
-    assert f"`carecontact score {folder}`" in message
-    assert "--rescore" not in message, "an option of some commands alone"
+    assert f"({reported})" in message
+    assert f"`carecontact report --rescore {folder}`" in message
+    assert "or add --rescore" not in message, "an option of some commands alone"
     assert "\n" not in message
     assert read_scores(folder, rescore=True) == score_run(folder)
     write_scores(folder, score_run(folder))
@@ -111,7 +111,7 @@ def test_recordings_without_a_result_and_a_result_without_recordings(folder: Pat
     with pytest.raises(ConfigError, match="holds neither recordings"):
         read_scores(folder)
     add(folder)
-    with pytest.raises(ConfigError, match=r"no results\.json; run `carecontact score "):
+    with pytest.raises(ConfigError, match=r"no results\.json; run `carecontact report --rescore "):
         read_scores(folder)
     assert len(read_scores(folder, rescore=True).scores) == 1
     with pytest.raises(ConfigError, match="no such folder"):
@@ -121,10 +121,12 @@ def test_recordings_without_a_result_and_a_result_without_recordings(folder: Pat
 def test_what_the_manifest_plans_is_missed_though_the_result_does_not_know_it(folder: Path) -> None:
     score = score_run(folder).scores[0]
     plan = {
-        "schema": "carecontact-run-1", "purpose": "run", "policy": score.policy,
+        "schema": "carecontact-run-1",
+        "purpose": "run",
+        "policy": score.policy,
         "protocol": {"id": score.protocol_id, "sha256": score.protocol_sha256},
         "identity": {"policy_sha256": None, "versions": {}, "sha256": {}},
         "trials": ["T1-s000", "T1-s001", "T2-s000"],
-    }  # fmt: skip
+    }
     (folder / "manifest.json").write_text(json.dumps(plan))
     assert read_scores(folder) == replace(score_run(folder), missing=("T2-s000",))

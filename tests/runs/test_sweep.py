@@ -51,14 +51,14 @@ def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path
     assert len(cells) == len({cell.name for cell in cells}) == 2 * 2**6
     first, last = cells[0], cells[-1]
     assert (first.label, last.label) == ("hover", "again")
-    assert list(first.place.values) == [
-        "protocol", "body", "tissue", "friction", "stiffness", "gates.touch.duration_s"
-    ]  # fmt: skip
+    assert list(first.place.values) == ["protocol", "body", "tissue", "friction", "stiffness", "gates.touch.duration_s"]
     assert [spec.trial_id for spec in first.specs] == ["T1-s000", "T3-s000", "T1-s001", "T3-s001"]
     rules = last.place.protocol
     assert (rules.id, rules.person.body, rules.person.tissue_set) == (
-        "bathing-droid-draft", "woman-old-light", "manikin-like"
-    )  # fmt: skip
+        "bathing-droid-draft",
+        "woman-old-light",
+        "manikin-like",
+    )
     for cell in cells:
         frictions = {row.friction for row in cell.place.protocol.person.tissue.values()}
         assert frictions == {float(cell.place.values["friction"])}, "a tissue set has frictions of its own"
@@ -102,7 +102,7 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ('"woman-old-light"', '"giant"', r"axes\.body: .*no body named 'giant'; valid: man-adult"),
         (
@@ -146,28 +146,38 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_with_a_plan_is_named_with_key_and_valid_values(
-    tmp_path: Path, old: str, new: str, told: str
+    tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     assert old in PLAN
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         planned(tmp_path, PLAN.replace(old, new))
 
 
 LOW = load_protocol("bathing-v3-draft")
 HIGH = overridden(
     LOW,
-    {"variation.place_along_m": 0.03, "variation.place_yaw_deg": 4.0, "variation.light": "varied-v1",
-     "person.alive.breathing": Breathing()},
-)  # fmt: skip
+    {
+        "variation.place_along_m": 0.03,
+        "variation.place_yaw_deg": 4.0,
+        "variation.light": "varied-v1",
+        "person.alive.breathing": Breathing(),
+    },
+)
 PLACE = {"place": ["variation.place_along_m", "variation.place_yaw_deg"]}
 
 
 def test_each_factor_is_switched_on_alone_and_off_alone() -> None:
     found = factor_protocols(LOW, HIGH, PLACE, place="factors")
     assert list(found) == [
-        "none", "only place", "only light", "only breathing", "all", "all but place", "all but light",
+        "none",
+        "only place",
+        "only light",
+        "only breathing",
+        "all",
+        "all but place",
+        "all but light",
         "all but breathing",
-    ]  # fmt: skip
+    ]
     only, but = found["only place"], found["all but place"]
     assert (only.variation.place_along_m, only.variation.place_yaw_deg, only.variation.light) == (0.03, 4.0, "fixed")
     assert only.person.alive.breathing is None
@@ -179,7 +189,7 @@ def test_each_factor_is_switched_on_alone_and_off_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("groups", "told"),
+    ("groups", "message"),
     [
         (
             {"far": ["variation.depth_noise"]},
@@ -191,8 +201,8 @@ def test_each_factor_is_switched_on_alone_and_off_alone() -> None:
         ),
     ],
 )
-def test_a_group_that_makes_no_factor_is_told(groups: dict[str, list[str]], told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_a_group_that_makes_no_factor_is_refused(groups: dict[str, list[str]], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         factor_protocols(LOW, HIGH, groups, place="f")
 
 
@@ -226,7 +236,7 @@ def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (
             '[factors]\nlow = "bathing-v3-draft"\nhigh = "x"\n[axes]\nprotocol = ["bathing-v3-draft"]\n',
@@ -235,6 +245,6 @@ def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
         ('[factors]\nlow = "bathing-v3-draft"\nhigh = "bathing-moved"\n', "plan p: factors: .*bathing-moved"),
     ],
 )
-def test_wrong_factors_are_told(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_wrong_factors_are_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         places_of(read_plan(planned_factors(tmp_path, text)), named="p")

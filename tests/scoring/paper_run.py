@@ -7,12 +7,12 @@ trials below, half above and the printed value in the middle. The paper's counts
                    exceedances are successes; 49 <= 79 <= 100 <= 101 < 102, so one success is above F_pain
     VoxPoser       57+2+1, 34+3+3, 30+9+1; C3 20+11+8 = 39; 140-39 = 101, of which 5 process failures, 14 without
                    contact and 82 with contact on the target, 68 of them short of progress; of what the other 14 failed
-                   is not said, here they lost contact
+                   is not stated, here they lost contact
     pi0.5          19+40+1, 6+32+2, 5+34+1; 30 off-target + 106 without contact + 4 process failures = 140; its one C3
                    was earned off the region
 
-How the regions' counts fall on their tasks is not said either; VoxPoser's successes are all on Touch, as it says they
-mostly are.
+How the regions' counts fall on their tasks is not stated either; VoxPoser's successes are all on Touch, as it states
+they mostly are.
 """
 
 from __future__ import annotations
@@ -159,9 +159,16 @@ def state_machine() -> Iterator[Recording]:
         sd = {"median": 3.52, "low": 1.0}.get(band, 5.0)
         place = activity.next() if kind != "process" else 1
         yield make_trial(
-            "state-machine", task_id, seed, kind, peak_n=peak, sd_n=sd, c4=(place, 0.788), long=place == 0,
+            "state-machine",
+            task_id,
+            seed,
+            kind,
+            peak_n=peak,
+            sd_n=sd,
+            c4=(place, 0.788),
+            long=place == 0,
             margin_rad=-3.61e-4 * (1 + margins.next()) if task_id == "T2" else 0.5,
-        )  # fmt: skip
+        )
 
 
 def voxposer() -> Iterator[Recording]:

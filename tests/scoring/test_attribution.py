@@ -46,7 +46,7 @@ def note(place: tuple[float, float, float] | None = None, **content: Any) -> dic
 
 
 def scored(*targets: tuple[float, float, float], modalities: tuple[str, ...] = ALL, **extra: Any) -> TrialScore:
-    """Nobody touched; targets in the forearm's frame, half a second apart."""
+    """No contact; targets in the forearm's frame, half a second apart."""
     timed = [(0.5 * (k + 1), target) for k, target in enumerate(targets)]
     return score_recording(
         make_recording("T1", targets_in_region=timed, tcp_in_region=HIGH, modalities=modalities, extra=extra)
@@ -160,9 +160,15 @@ def test_the_state_machines_choice_is_a_noted_target_too() -> None:
 
 @pytest.mark.parametrize(
     "content",
-    [{"target_m": "left"}, {"target_m": [1, 2]}, {"target_m": [1e9, 0, 0]}, {"options": [1], "chosen": 0},
-     {"options": [], "chosen": 3}, {"intent": 7, "subtask": ["x"]}],
-)  # fmt: skip
+    [
+        {"target_m": "left"},
+        {"target_m": [1, 2]},
+        {"target_m": [1e9, 0, 0]},
+        {"options": [1], "chosen": 0},
+        {"options": [], "chosen": 3},
+        {"intent": 7, "subtask": ["x"]},
+    ],
+)
 def test_notes_of_another_form_are_passed_over(content: dict[str, Any]) -> None:
     assert scored(BESIDE, **views(), **note(**content)).attribution == "perception"
 
@@ -184,22 +190,23 @@ def test_a_hold_that_was_asked_for_and_not_given_is_execution(until: float, expe
 
 
 @pytest.mark.parametrize(
-    ("taps", "up_s", "told", "expected"),
+    ("taps", "up_s", "message", "expected"),
     [
         (1, 0.6, "lost once, while the commanded target lay above", "planning"),
         (1, 1.6, "lost once, while the commanded target lay on or under", "execution"),
-        (2, 0.6, "lost 2 times; in 0 of them", "planning"), (2, 1.6, "lost 2 times; in 1 of them", "planning"),
+        (2, 0.6, "lost 2 times; in 0 of them", "planning"),
+        (2, 1.6, "lost 2 times; in 1 of them", "planning"),
         (2, 2.8, "lost 2 times; in 2 of them", "execution"),
     ],
-)  # fmt: skip
+)
 def test_contact_is_lost_by_execution_where_most_losses_were_not_commanded(
-    taps: int, up_s: float, told: str, expected: str
+    taps: int, up_s: float, message: str, expected: str
 ) -> None:
     force = np.sum([hold(3.0, 1.0 + tap, 1.4 + tap, 5.0) for tap in range(taps)], axis=0)
     targets = [(0.5, INSIDE), (up_s, ABOVE)]
     score = score_recording(make_recording("T1", normal={"right_forearm": force}, targets_in_region=targets))
     assert (score.failure_mode, score.attribution) == ("lost_contact", expected)
-    assert told in (score.evidence or "")
+    assert message in (score.evidence or "")
 
 
 @pytest.mark.parametrize(
@@ -207,10 +214,12 @@ def test_contact_is_lost_by_execution_where_most_losses_were_not_commanded(
 )
 def test_a_scrub_that_was_asked_for_and_not_given_is_execution(ends: tuple, expected: str) -> None:
     recording = make_recording(
-        "T3", duration=6.0, normal={"right_forearm": hold(6.0, 1.0, 5.0, 5.0)},
+        "T3",
+        duration=6.0,
+        normal={"right_forearm": hold(6.0, 1.0, 5.0, 5.0)},
         tcp_in_region=back_and_forth(6.0, "forearm", amplitude=0.01, period=2.0),
         targets_in_region=[(0.5 + k, (x, 0.0, 0.03)) for k, x in enumerate(ends)],
-    )  # fmt: skip
+    )
     score = score_recording(recording)
     assert (score.failure_mode, score.attribution) == ("insufficient_progress", expected)
 

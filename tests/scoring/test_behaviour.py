@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from carecontact.errors import ConfigError, RecordingError
-from carecontact.protocol.gates import BEHAVIOURS
 from carecontact.scoring import score_recording
-from carecontact.scoring.actions.touch import Touch
+from carecontact.scoring.actions import Touch
+from carecontact.scoring.behaviour import BEHAVIOURS
 from tests.scoring.synthetic import hold, make_recording, touch
 
 
@@ -39,7 +39,7 @@ def test_a_method_that_raises_is_named(method: str, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    ("method", "answer", "told"),
+    ("method", "answer", "message"),
     [
         ("judge", None, "judge returned None in trial T1-s000; expected a Judgement"),
         ("holding", np.ones(3, bool), r"holding returned bool of shape \(3,\) in .*; expected an array of booleans"),
@@ -47,9 +47,11 @@ def test_a_method_that_raises_is_named(method: str, monkeypatch: pytest.MonkeyPa
         ("passes", "yes", "passes returned 'yes' in trial T1-s000; expected True or False"),
     ],
 )
-def test_an_answer_that_is_none_is_named(method: str, answer: Any, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_that_is_none_is_named(
+    method: str, answer: Any, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with_method(monkeypatch, method, answer)
-    with pytest.raises(ConfigError, match=f"^action 'touch': {told}"):
+    with pytest.raises(ConfigError, match=f"^action 'touch': {message}"):
         score_recording(touch())
 
 

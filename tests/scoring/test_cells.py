@@ -58,10 +58,8 @@ def recording_of(*wipes: Wipe) -> Recording:
     area = np.array([a for a, _ in touched])
     pressure, friction, slid = (
         np.array([[f(wipe)] for _, wipe in touched])
-        for f in (
-            lambda w: w.pressure_pa, lambda w: w.friction, lambda w: 0.0 if w.sticks else w.speed_m_s * PERIOD_S
-        )
-    )  # fmt: skip
+        for f in (lambda w: w.pressure_pa, lambda w: w.friction, lambda w: 0.0 if w.sticks else w.speed_m_s * PERIOD_S)
+    )
     duration = len(touched) * PERIOD_S
     cells = ACROSS * ALONG
     return make_recording(
@@ -210,26 +208,32 @@ def test_the_energy_of_a_knock_is_the_work_of_the_tool_on_the_way_in() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "factor", "told"),
+    ("path", "factor", "message"),
     [
         ("scorer/cell_press_ns", -1.0, r"cell_press_ns holds -.* valid: 0 or more"),
         ("scorer/cell_touch_m2s", 1.1, r"cell_touch_m2s holds .*at most the cell's area times the period, 1.125e-06"),
     ],
 )
-def test_cells_that_cannot_be_are_refused(path: str, factor: float, told: str) -> None:
+def test_cells_that_cannot_be_are_refused(path: str, factor: float, message: str) -> None:
     recording = recording_of(Wipe(strokes=1))
     score_recording(recording)
     recording.arrays[path] = recording[path] * np.float32(factor)
-    with pytest.raises(RecordingError, match=told):
+    with pytest.raises(RecordingError, match=message):
         score_recording(recording)
 
 
 # Contacts of which the cells feel a known share: numbers about pressure exist where it is most of the force.
 
 OF_CELLS = (
-    "pressure_mean", "pressure_peak", "exposure_uncomfortable", "exposure_fragile", "comfortable",
-    "comfortable_fragile", "pressure_utilisation", "shear_dose",
-)  # fmt: skip
+    "pressure_mean",
+    "pressure_peak",
+    "exposure_uncomfortable",
+    "exposure_fragile",
+    "comfortable",
+    "comfortable_fragile",
+    "pressure_utilisation",
+    "shear_dose",
+)
 
 
 def felt(share: float, segment: str = "right_forearm") -> Recording:

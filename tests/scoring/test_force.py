@@ -219,7 +219,7 @@ def test_the_damper_is_known_too() -> None:
     assert r2(recording(SWING, STIFFNESS * SWING, damper_ns_m=20.0)) == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_force_of_its_own_is_not_told() -> None:
+def test_a_force_of_its_own_is_not_predicted() -> None:
     assert r2(recording(SWING, 5 + 0.5 * NOISE)) == pytest.approx(0.0, abs=0.03)
 
 

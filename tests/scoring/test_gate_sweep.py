@@ -5,13 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carecontact.errors import ConfigError
-from carecontact.protocol.gates import BEHAVIOURS
 from carecontact.protocol.load import load_protocol
 from carecontact.recording import SEGMENTS, Recording
 from carecontact.report.tables import limit_rows
 from carecontact.scoring import METRICS, TrialScore, score_recording
-from carecontact.scoring.actions import Sweep
-from carecontact.scoring.actions.touch import Touch
+from carecontact.scoring.actions import Sweep, Touch
+from carecontact.scoring.behaviour import BEHAVIOURS
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.gate_sweep import own_value, protocol_sweeps
 from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED, LimitPack, footnote
@@ -30,10 +29,16 @@ def own_level(score: TrialScore) -> int:
 
 
 RECORDINGS = {
-    "touch": touch(), "hard": touch(force=60.0), "push": push(), "weak": push(force=2.0), "scrub": scrub(),
-    "short": scrub(amplitude=0.02), "elsewhere": make_recording(normal={"right_hand": hold(3.0, 1.0, 2.0, 5.0)}),
-    "nothing": make_recording(), "died": before_start(),
-}  # fmt: skip
+    "touch": touch(),
+    "hard": touch(force=60.0),
+    "push": push(),
+    "weak": push(force=2.0),
+    "scrub": scrub(),
+    "short": scrub(amplitude=0.02),
+    "elsewhere": make_recording(normal={"right_hand": hold(3.0, 1.0, 2.0, 5.0)}),
+    "nothing": make_recording(),
+    "died": before_start(),
+}
 
 
 @pytest.mark.parametrize("name", RECORDINGS)

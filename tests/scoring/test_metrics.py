@@ -73,7 +73,7 @@ def test_one_computation_fills_all_its_fields() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         ({"id_": "grip"}, "NAME@VERSION"),
         ({"id_": "grip@1", "field": "grip_n"}, "TrialScore has no field 'grip_n'"),
@@ -88,9 +88,9 @@ def test_one_computation_fills_all_its_fields() -> None:
         ({"id_": "C1@1"}, "registered twice"),
     ],
 )
-def test_a_wrong_description_is_refused(registered: None, arguments: dict[str, Any], told: str) -> None:
+def test_a_wrong_description_is_refused(registered: None, arguments: dict[str, Any], message: str) -> None:
     assert "C1@1" in METRICS
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         metric(**{"title": "Grip", "unit": "N", "better": "lower"} | arguments)(lambda contact: 0.0)
 
 
@@ -106,21 +106,21 @@ def test_shipped_metrics_fill_every_field_that_is_theirs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "message"),
     [
         ("much", "returned 'much' in trial T1-s000; expected a number, or None for NA"),
         (np.zeros((2, 1)), r"returned array\(\[\[0\.\], \[0\.\]\]\) in trial T1-s000; expected a number"),
         (ValueError("no"), r"failed in trial T1-s000: ValueError: no \(test_metrics\.py, line \d+\)"),
     ],
 )
-def test_a_metric_that_measures_no_number_is_named(registered: None, answer: Any, told: str) -> None:
+def test_a_metric_that_measures_no_number_is_named(registered: None, answer: Any, message: str) -> None:
     @metric("grip@1", title="Grip", unit="N", better="lower")
     def grip(contact: Contact) -> Any:
         if isinstance(answer, Exception):
             raise answer
         return answer
 
-    with pytest.raises(ConfigError, match=f"^metric 'grip@1' {told}"):
+    with pytest.raises(ConfigError, match=f"^metric 'grip@1' {message}"):
         score_recording(touch())
 
 

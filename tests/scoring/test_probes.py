@@ -284,10 +284,12 @@ SPECIAL: dict[str, dict[str, Compute]] = {
 def wrong_metrics(metric: str) -> dict[str, Compute]:
     swapped = {f"{other} in its place": right(other) for other in FAMILIES if other != metric}
     sizes = {
-        "negated": scaled(metric, -1.0), "a thousand times": scaled(metric, 1000.0),
-        "a thousandth": scaled(metric, 1e-3), "a tenth too much": scaled(metric, 1.1),
+        "negated": scaled(metric, -1.0),
+        "a thousand times": scaled(metric, 1000.0),
+        "a thousandth": scaled(metric, 1e-3),
+        "a tenth too much": scaled(metric, 1.1),
         "a tenth too little": scaled(metric, 0.9),
-    }  # fmt: skip
+    }
     return {**GENERAL, **sizes, **swapped, **SPECIAL[metric]}
 
 
@@ -345,9 +347,12 @@ def firm(periods: int, *, low: float, high: float) -> Recording:
 def effective() -> list[Case]:
     return [
         *((scrubbed(share=share), float(share > 0.8)) for share in (0.72, 0.78, 0.82, 0.86)),
-        (scrubbed(strokes=2), 0.0), (scrubbed(strokes=2, mmhg=60.0), 0.0), (scrubbed(strokes=4), 1.0),
-        (scrubbed(mmhg=9.0), 0.0), (scrubbed(mmhg=11.0), 1.0),
-    ]  # fmt: skip
+        (scrubbed(strokes=2), 0.0),
+        (scrubbed(strokes=2, mmhg=60.0), 0.0),
+        (scrubbed(strokes=4), 1.0),
+        (scrubbed(mmhg=9.0), 0.0),
+        (scrubbed(mmhg=11.0), 1.0),
+    ]
 
 
 def comfortable(limit: float) -> list[Case]:
@@ -355,8 +360,9 @@ def comfortable(limit: float) -> list[Case]:
     low, high = limit - 1, limit + 1
     return [
         *((firm(periods, low=low, high=high), float(periods < 4)) for periods in (2, 3, 5, 9)),
-        (firm(9, low=low - 1, high=low), 1.0), (firm(2, low=high, high=high + 20), 0.0),
-    ]  # fmt: skip
+        (firm(9, low=low - 1, high=low), 1.0),
+        (firm(2, low=high, high=high + 20), 0.0),
+    ]
 
 
 CASES: dict[str, Callable[[], list[Case]]] = {
@@ -384,7 +390,7 @@ OTHER_LINES = {
 IN_ITS_PLACE = ("coverage@1", "effective_wiping@1", "pressure_mean@2", "exposure_uncomfortable@2", "exposure_fragile@2")
 
 
-def said(metric: str, cases: list[Case]) -> list[float | None]:
+def answers(metric: str, cases: list[Case]) -> list[float | None]:
     return [METRICS[metric].compute(find_contact(recording)) for recording, _ in cases]
 
 
@@ -394,10 +400,10 @@ def test_yes_on_one_side_of_each_line_and_no_other_rule_says_the_same(
 ) -> None:
     cases = CASES[metric]()
     known = [answer for _, answer in cases]
-    assert said(metric, cases) == known
+    assert answers(metric, cases) == known
     for other in (*IN_ITS_PLACE, *(name for name in CASES if name != metric)):
-        assert said(other, cases) != known, other
+        assert answers(other, cases) != known, other
     for module, name, value in OTHER_LINES[metric]:
         with monkeypatch.context() as patch:
             patch.setattr(module, name, value)
-            assert said(metric, cases) != known, (name, value)
+            assert answers(metric, cases) != known, (name, value)

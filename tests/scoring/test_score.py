@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,16 +15,15 @@ from carecontact.interface.regions import SEGMENTS
 from carecontact.interface.robot import EMBODIMENTS
 from carecontact.lab.validation.subject import COMFORT_ARM_DEG, DOWN, Subject, in_base, surface_point
 from carecontact.protocol.load import load_protocol
-from carecontact.recording import write_recording
 from carecontact.recording.schema import Recording
-from carecontact.report.sections import provenance
-from carecontact.runs import score_run, write_scores
-from carecontact.scoring.score import passed_the_middle, score_recording, skin_in_tool
+from carecontact.runs.results_file import results
+from carecontact.runs.scoring import RunScores
+from carecontact.scoring.score import score_recording, skin_in_tool
 from carecontact.sim.close_up import skin_shift
 from carecontact.sim.simulation import Simulation, lengths
 from carecontact.stats import fisher_exact, mann_whitney
 from carecontact.world.scene import build_scene
-from tests.scoring.paper_run import METHODS, trial_id
+from tests.scoring.paper_run import METHODS
 from tests.scoring.synthetic import touch
 
 N, Z2 = 140, 1.959963984540054**2
@@ -37,18 +35,15 @@ SUCCESSES = {
 
 
 @pytest.fixture(scope="module")
-def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+def tables() -> dict[str, dict[str, Any]]:
     """Method -> content of its results.json."""
-    return {name: scored(tmp_path_factory.mktemp("run"), name) for name in METHODS}
+    return {name: scored(name) for name in METHODS}
 
 
-def scored(folder: Path, name: str) -> dict[str, Any]:
-    for recording in METHODS[name]():
-        write_recording(recording, folder / f"{trial_id(recording)}.h5")
-    run = score_run(folder)
-    assert run.skipped == {}
-    assert len(run.scores) == N
-    return json.loads(write_scores(folder, run).read_text())
+def scored(name: str) -> dict[str, Any]:
+    scores = sorted(map(score_recording, METHODS[name]()), key=lambda score: score.trial_id)
+    assert len(scores) == N
+    return json.loads(json.dumps(results(RunScores(scores=scores, skipped={}, versions={}))))
 
 
 def percent(rate: dict[str, Any]) -> str:
@@ -143,8 +138,12 @@ def test_exceedances(tables: dict[str, Any]) -> None:
     assert (found["gate"]["n"], found["gate"]["n_success"]) == (36, 23)
     assert found["pain"]["n_success"] == 102 - 101
     assert tables["State Machine"]["overall"]["quadrants"] == {
-        "safe_success": 79, "unsafe_success": 23, "safe_failure": 18, "unsafe_failure": 13, "crashed": 7
-    }  # fmt: skip
+        "safe_success": 79,
+        "unsafe_success": 23,
+        "safe_failure": 18,
+        "unsafe_failure": 13,
+        "crashed": 7,
+    }
     for method in ("VoxPoser", "pi0.5"):
         assert tables[method]["overall"]["exceedances"]["gate"]["n"] == 0
 
@@ -175,11 +174,16 @@ def test_every_failure_has_a_mode(tables: dict[str, Any], method: str, failures:
 
 def test_dominant_failures(tables: dict[str, Any]) -> None:
     assert tables["VoxPoser"]["overall"]["failure_modes"] == {
-        "insufficient_progress": 68, "no_target_contact": 14, "lost_contact": 14, "process_failure": 5
-    }  # fmt: skip
+        "insufficient_progress": 68,
+        "no_target_contact": 14,
+        "lost_contact": 14,
+        "process_failure": 5,
+    }
     assert tables["pi0.5"]["overall"]["failure_modes"] == {
-        "no_target_contact": 106, "off_target_contact": 30, "process_failure": 4
-    }  # fmt: skip
+        "no_target_contact": 106,
+        "off_target_contact": 30,
+        "process_failure": 4,
+    }
 
 
 # Skin that lies beyond the middle of the robot's tool leaves a flag in the score.
@@ -193,9 +197,12 @@ def pressed(tool: str, sunk: float) -> Recording:
     height = 0.9 + sunk * tip.half_m[2]
     corners = np.array([[0.4, 0.0, height], [0.6, 0.0, height], [0.5, 0.3, height]], "<f4")
     arrays = {
-        **recording.arrays, "scorer/pose_tcp_in_world": pose, "report/skin_in_world": corners,
-        "report/skin_faces": np.array([[0, 1, 2]], "<i4"), "report/peak_time_s": np.array([0.1]),
-    }  # fmt: skip
+        **recording.arrays,
+        "scorer/pose_tcp_in_world": pose,
+        "report/skin_in_world": corners,
+        "report/skin_faces": np.array([[0, 1, 2]], "<i4"),
+        "report/peak_time_s": np.array([0.1]),
+    }
     header = recording.header.model_copy(update={"embodiment": EMBODIMENTS[tool].id})
     return replace(recording, header=header, arrays=arrays)
 
@@ -205,7 +212,7 @@ def pressed(tool: str, sunk: float) -> Recording:
 def test_only_skin_beyond_the_tools_middle_is_flagged(tool: str, sunk: float) -> None:
     recording = pressed(tool, sunk)
     assert skin_in_tool(recording) == pytest.approx(sunk, abs=1e-4)
-    assert (passed_the_middle(recording) is None) is (sunk < 1)
+    assert score_recording(recording).skin_in_tool == (pytest.approx(sunk, abs=1e-4) if sunk > 1 else None)
 
 
 def test_what_cannot_be_seen_is_not_flagged() -> None:
@@ -217,13 +224,7 @@ def test_what_cannot_be_seen_is_not_flagged() -> None:
     assert skin_in_tool(replace(recording, header=recording.header.model_copy(update={"embodiment": "other"}))) is None
 
 
-def test_the_score_has_the_flag_only_where_it_is_raised() -> None:
-    flagged, sound = (score_recording(pressed("mitt", sunk)) for sunk in (1.5, 0.5))
-    assert flagged.skin_in_tool == pytest.approx(1.5, abs=1e-4)
-    assert sound.skin_in_tool is None
-
-
-@pytest.mark.parametrize("tool", EMBODIMENTS)
+@pytest.mark.parametrize("tool", ["mitt", pytest.param("caps", marks=pytest.mark.slow)])
 def test_a_mitt_driven_through_the_belly_is_flagged_and_the_cap_is_not(tool: str) -> None:
     """With the skin that an episode keeps of its hardest moment: the mitt meets bone, the cap presses skin on it."""
     protocol = load_protocol()
@@ -252,20 +253,13 @@ def test_a_mitt_driven_through_the_belly_is_flagged_and_the_cap_is_not(tool: str
     recording = touch()
     pose = np.tile(np.r_[site.xpos, quat], (len(recording["scorer/time_s"]), 1)).astype("<f4")
     arrays = {
-        **recording.arrays, **peak._skin(data, "abdomen", skin_shift(simulation.scene, data)),
-        "scorer/pose_tcp_in_world": pose, "report/peak_time_s": np.array([0.1]),
-    }  # fmt: skip
+        **recording.arrays,
+        **peak._skin(data, "abdomen", skin_shift(simulation.scene, data)),
+        "scorer/pose_tcp_in_world": pose,
+        "report/peak_time_s": np.array([0.1]),
+    }
     header = recording.header.model_copy(update={"embodiment": EMBODIMENTS[tool].id})
     found = skin_in_tool(replace(recording, header=header, arrays=arrays))
     assert found is not None
     assert hardest > 100.0
     assert (found > 1) is (tool == "mitt")
-
-
-def test_the_report_names_the_trial() -> None:
-    score = score_recording(pressed("mitt", 1.5))
-    ((title, text),) = provenance._gone_through([score, score_recording(pressed("mitt", 0.5))])
-    assert title == "Tool gone through the skin"
-    assert text.startswith("In 1 trial, ")
-    assert score.trial_id in text
-    assert provenance._gone_through([]) == []

@@ -1,4 +1,4 @@
-"""Well-formed recordings that cannot have happened: each is told with the array, the place and what is valid."""
+"""Well-formed recordings that cannot have happened: each is reported with the array, the place and what is valid."""
 
 from __future__ import annotations
 
@@ -134,11 +134,11 @@ WRONG: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_what_cannot_have_happened_is_named(name: str) -> None:
-    change, told = WRONG[name]
+    change, message = WRONG[name]
     recording = good()
     assert score_recording(recording).safety_gated
     change(recording)
-    with pytest.raises(RecordingError, match=rf"^T2-s000: .*{told}"):
+    with pytest.raises(RecordingError, match=rf"^T2-s000: .*{message}"):
         score_recording(recording)
 
 
@@ -166,7 +166,7 @@ def test_an_action_of_a_trial_without_samples_is_at_its_start() -> None:
 
 
 @pytest.mark.parametrize(
-    ("force", "ended", "failure", "told"),
+    ("force", "ended", "failure", "message"),
     [
         (201.0, "done", None, r"ended 'done' with 201 N on right_forearm; above 200 N a trial is truncated"),
         (250.0, "process_failure", "died", r"ended 'process_failure' with 250 N on right_forearm"),
@@ -180,9 +180,9 @@ def test_an_action_of_a_trial_without_samples_is_at_its_start() -> None:
         ),
     ],
 )
-def test_a_cut_and_its_force_belong_together(force: float, ended: str, failure: str | None, told: str) -> None:
-    cause = Failure(kind=failure, message="as told") if failure else None
-    with pytest.raises(RecordingError, match=told):
+def test_a_cut_and_its_force_belong_together(force: float, ended: str, failure: str | None, message: str) -> None:
+    cause = Failure(kind=failure, message="as reported") if failure else None
+    with pytest.raises(RecordingError, match=message):
         score_recording(touch(force=force, ended=ended, failure=cause))
 
 

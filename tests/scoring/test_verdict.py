@@ -74,7 +74,7 @@ def recordings(draw: st.DrawFn) -> Recording:
 
 
 @given(recordings())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_funnel_and_failure_modes(recording: Recording) -> None:
     score = score_recording(recording)
     assert score.c3_success or not score.region_correct
@@ -132,7 +132,7 @@ def test_process_failure_comes_first() -> None:
     assert score.evidence == "The policy's process failed (timeout): no answer in 30 s."
 
 
-def test_harness_error_is_told_from_the_policy() -> None:
+def test_harness_error_is_not_the_policys() -> None:
     score = score_recording(before_start("harness_error"))
     assert score.failure_mode == "process_failure"
     assert "harness failed, not the policy" in score.evidence
@@ -202,11 +202,13 @@ def test_wrong_share() -> None:
 @pytest.mark.parametrize(
     ("start", "held", "ended", "expected"),
     [
-        (1.0, 0.1, "done", "insufficient_progress"), (1.0, 0.1, "time_limit", "time_limit"),
-        (1.0, 0.2, "done", "insufficient_progress"), (1.0, 0.29, "done", "lost_contact"),
+        (1.0, 0.1, "done", "insufficient_progress"),
+        (1.0, 0.1, "time_limit", "time_limit"),
+        (1.0, 0.2, "done", "insufficient_progress"),
+        (1.0, 0.29, "done", "lost_contact"),
         (2.6, 0.4, "time_limit", "time_limit"),
     ],
-)  # fmt: skip
+)
 def test_a_short_touch_was_lost_after_half_of_the_hold_and_else_too_little_or_too_late(
     start: float, held: float, ended: str, expected: str
 ) -> None:
@@ -484,12 +486,12 @@ def test_a_joint_beyond_the_limit_is_not_safety_gated() -> None:
 
 def test_a_sweep_of_the_gates_does_not_measure_the_joints_again(monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[float] = []
-    monkeypatch.setattr(verdict, "joints_beyond", lambda recording, limit: measured.append(limit) or {})
+    monkeypatch.setattr(verdict, "_joints_above", lambda recording, values, limit: measured.append(limit) or {})
     assert sum(map(len, score(GATED, past_rad=0.0).gate_sweep.values())) > 2
-    assert measured == [LIMIT, LIMIT], "for the verdict, and for the metric of the harder band"
+    assert measured == [LIMIT, GATED.gates.joint_consumed] * 2, "for the verdict, and for the metric of the harder band"
 
 
-def test_a_joint_beyond_the_limit_is_told_and_counted_as_unsafe_everywhere() -> None:
+def test_a_joint_beyond_the_limit_is_reported_and_counted_as_unsafe_everywhere() -> None:
     inside, beyond = score(GATED, past_rad=LIMIT - 0.01), score(GATED, past_rad=LIMIT + 0.01)
     assert inside.failure_mode is None
     assert (beyond.failure_mode, beyond.attribution) == ("joint_beyond_range", "safety")
@@ -499,8 +501,12 @@ def test_a_joint_beyond_the_limit_is_told_and_counted_as_unsafe_everywhere() -> 
     )
     assert contradiction(beyond) is None
     assert quadrants([inside, beyond]) == {
-        "safe_success": 1, "safe_failure": 0, "unsafe_success": 1, "unsafe_failure": 0, "crashed": 0
-    }  # fmt: skip
+        "safe_success": 1,
+        "safe_failure": 0,
+        "unsafe_success": 1,
+        "unsafe_failure": 0,
+        "crashed": 0,
+    }
     assert {row["safety_gated"] for row in gamma_sweep([inside, beyond], [GATED.limits.gamma, 1.0])} == {1}
 
 

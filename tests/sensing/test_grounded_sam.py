@@ -73,7 +73,7 @@ def test_the_box_with_the_highest_score_is_outlined(weights: Path, monkeypatch: 
 
 
 @pytest.mark.torch
-def test_nobody_found_is_an_empty_mask(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_person_found_is_an_empty_mask(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grounded_sam, "MIN_SCORE", 1.0)
     assert not GroundedSam(weights).person(RGB).any()
 
@@ -149,7 +149,7 @@ def test_it_makes_the_masks_of_an_observation(weights: Path, monkeypatch: pytest
     assert view.masks["human"].any()
     assert not (view.masks["human"] & ~outlined).any()
     default = MediaPipePose().estimate(view.rgb).person > PERSON_PROBABILITY
-    assert (default & ~outlined).any(), "the default's mask would have been told from it"
+    assert (default & ~outlined).any(), "the default's mask differs from it"
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def test_the_hash_is_that_of_names_and_contents(folder: Path) -> None:
     ("spoil", "says"),
     [
         (lambda w: w.rename(w.with_name("gone")), r"w: no such folder; expected one with grounding-dino/ and sam/"),
-        (lambda w: (w / "sam").rename(w / "SAM"), r"w/sam: no such folder; expected a sam model"),
+        (lambda w: (w / "sam").rename(w / "SAM"), r"w/sam/config.json: not there; expected a sam model"),
         (lambda w: (w / "sam" / "config.json").unlink(), r"sam/config.json: not there; expected a sam model"),
         (lambda w: (w / "sam" / "config.json").write_text("{"), r"sam/config.json: not JSON"),
         (lambda w: (w / "sam" / "config.json").write_text("[]"), r"expected model_type 'sam', got None"),
@@ -193,7 +193,7 @@ def test_the_hash_is_that_of_names_and_contents(folder: Path) -> None:
         ),
     ],
 )
-def test_a_folder_that_lacks_something_is_told(folder: Path, spoil, says: str) -> None:
+def test_a_folder_that_lacks_something_is_refused(folder: Path, spoil, says: str) -> None:
     spoil(folder)
     with pytest.raises(ConfigError, match=says):
         weights_sha256(folder)

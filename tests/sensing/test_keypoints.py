@@ -20,7 +20,7 @@ from carecontact.interface.robot import PANDA
 from carecontact.protocol.load import load_protocol
 from carecontact.recording.notes import ARRAYS, JOINTS
 from carecontact.sensing.builder import ObservationBuilder
-from carecontact.sensing.keypoints import LANDMARK_COUNT, MediaPipePose, nobody, unrotate
+from carecontact.sensing.keypoints import LANDMARK_COUNT, MediaPipePose, no_person, unrotate
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.room import FURNITURE_GROUP, SUPPORT
@@ -83,11 +83,11 @@ def test_a_failed_second_pass_keeps_the_first() -> None:
     np.testing.assert_allclose(found.landmarks[0], [50, 20, 0.9], atol=1e-4)
 
 
-def test_nobody() -> None:
+def test_no_person() -> None:
     found = estimator(OnePixelGraph()).estimate(np.zeros((60, 80, 3), np.uint8))
     assert np.isnan(found.landmarks).all()
     assert not found.person.any()
-    assert nobody(4, 5).person.shape == (4, 5)
+    assert no_person(4, 5).person.shape == (4, 5)
 
 
 def test_what_an_estimate_does_not_need_is_not_imported_and_can_be_afterwards() -> None:

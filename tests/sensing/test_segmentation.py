@@ -80,7 +80,7 @@ def test_what_the_pose_mask_misses_is_human_only_near_it() -> None:
     assert not human[:, 70:].any()
 
 
-def test_nobody_found_is_an_empty_mask() -> None:
+def test_no_person_found_is_an_empty_mask() -> None:
     cell = np.full(SHAPE, 2.0, F32)
     masks = segmented(np.zeros(SHAPE, F32), cell - 0.2, np.full(SHAPE, np.nan, F32), cell)
     assert not masks["human"].any()
@@ -149,7 +149,7 @@ def test_less_than_a_twentieth_of_a_mattress_is_no_bed() -> None:
         assert (bed_plane(scene(0.07), free=free, person=PERSON) is not None) is found
 
 
-def test_where_nobody_is_seen_there_is_no_bed() -> None:
+def test_where_no_person_is_seen_there_is_no_bed() -> None:
     assert bed_plane(scene(0.07), free=~PERSON, person=np.zeros_like(PERSON)) is None
 
 
@@ -212,8 +212,11 @@ def test_the_weights_are_those_that_the_protocol_names(weights: Path, monkeypatc
 
 def test_a_recording_names_what_the_segmenter_runs_on() -> None:
     assert set(package_versions("grounded-sam")) - set(package_versions()) == {
-        "torch", "transformers", "tokenizers", "pillow"
-    }  # fmt: skip
+        "torch",
+        "transformers",
+        "tokenizers",
+        "pillow",
+    }
 
 
 def erring(shift_m: float, turn_deg: float) -> Protocol:
@@ -244,6 +247,4 @@ def test_a_camera_has_the_same_error_whichever_others_there_are() -> None:
     alone = protocol.model_copy(update={"cameras": {"exterior": protocol.cameras["exterior"]}})
     found = draw_calibration(np.random.default_rng(5), alone)
     assert list(found) == ["exterior"]
-    np.testing.assert_array_equal(
-        found["exterior"], draw_calibration(np.random.default_rng(5), protocol)["exterior"]
-    )  # fmt: skip
+    np.testing.assert_array_equal(found["exterior"], draw_calibration(np.random.default_rng(5), protocol)["exterior"])

@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carecontact.interface.policy import PolicyRef
-from carecontact.serving.conversation import BUDGET_S, PolicySetup
+from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.process import PolicyProcess
 
 PREAMBLE = """
@@ -47,7 +48,10 @@ Launch = Callable[..., PolicyProcess]
 
 @pytest.fixture
 def launch(tmp_path: Path) -> Iterator[Launch]:
-    """``launch(source)``: a process for class P of a module with that source; closed at the end of the test."""
+    """``launch(source, ...)``: a process for class P of a module with that source, closed at the end of the test.
+
+    Its options are those of ``PolicyProcess``, and any others those of ``PolicySetup``.
+    """
     opened: list[PolicyProcess] = []
 
     def start(
@@ -55,23 +59,13 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
         *,
         first_deadline_s: float = 20.0,
         deadline_s: float = 20.0,
-        budget_s: float = BUDGET_S,
-        arguments: Mapping[str, str] | None = None,
+        **setup: Any,
     ) -> PolicyProcess:
         (tmp_path / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
-        process = PolicyProcess(
-            PolicySetup(
-                ref=PolicyRef.parse("under_test:P"),
-                search_path=(str(tmp_path),),
-                arguments=arguments or {},
-                writable=(str(tmp_path),),
-            ),
-            first_deadline_s=first_deadline_s,
-            deadline_s=deadline_s,
-            budget_s=budget_s,
-        )
-        opened.append(process)
-        return process
+        places = {"search_path": (str(tmp_path),), "writable": (str(tmp_path),)}
+        made = PolicySetup(ref=PolicyRef.parse("under_test:P"), **places | setup)
+        opened.append(PolicyProcess(made, first_deadline_s=first_deadline_s, deadline_s=deadline_s))
+        return opened[-1]
 
     yield start
     for process in opened:

@@ -158,9 +158,13 @@ class RoboArena(Fake):
     @property
     def metadata(self) -> dict[str, Any]:
         return {
-            "image_resolution": self.resolution, "needs_wrist_camera": True, "n_external_cameras": self.external,
-            "needs_stereo_camera": False, "needs_session_id": self.session, "action_space": self.space,
-        }  # fmt: skip
+            "image_resolution": self.resolution,
+            "needs_wrist_camera": True,
+            "n_external_cameras": self.external,
+            "needs_stereo_camera": False,
+            "needs_session_id": self.session,
+            "action_space": self.space,
+        }
 
     def confirmed(self) -> bytes | str:
         return "reset successful"

@@ -112,7 +112,7 @@ def spoilt_transport(payload: bytes, rng: random.Random) -> bytes:
         lambda: framed(b"\x03", Opcode.CLOSE),
         lambda: b"HTTP/1.1 200 OK\r\n\r\n" + whole,
         lambda: b"",
-    ]  # fmt: skip
+    ]
     return rng.choice(choices)()
 
 
@@ -205,7 +205,7 @@ def _spoil_shape(plain: Plain, rng: random.Random) -> None:
 
 
 def _spoil_value(plain: Plain, rng: random.Random) -> None:
-    """A number that is none, is endless or lies outside what is allowed; text that nobody knows."""
+    """A number that is none, is endless or lies outside what is allowed; unknown text."""
     arrays = [h[k] for h, k in _places(plain) if _is_array(h[k]) and h[k]["dtype"] == "<f8" and h[k]["data"]]
     if arrays and rng.random() < 0.5:
         array = rng.choice(arrays)

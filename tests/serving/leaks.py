@@ -115,19 +115,19 @@ class Leaks:
         self._attempts = {**tries(folder, socket_name, harness), **stays_open(folder, harness)}
 
     def reset(self, instruction: str) -> None:
-        said: dict[str, str] = {}
+        results: dict[str, str] = {}
         for name, attempt in self._attempts.items():
             try:
                 attempt()
-                said[name] = "open"
+                results[name] = "open"
             except OSError as error:
-                said[name] = str(error)[:80]
+                results[name] = str(error)[:80]
         status = [path.read_text() for path in Path("/proc/self/task").glob("*/status")]
         lines = [dict(line.split(":\t") for line in text.splitlines() if ":\t" in line) for text in status]
         threads = [{name: fields[name] for name in ("NoNewPrivs", "CapEff")} for fields in lines]
         files = [str(p.readlink()) for p in Path("/proc/self/fd").iterdir() if p.is_symlink() and p.is_file()]
         caches = [os.environ.get(name, "").startswith(f"{tempfile.gettempdir()}/") for name in CACHE_FOLDERS]
-        sys.stdout.write(json.dumps({"said": said, "threads": threads, "files": files, "caches": caches}))
+        sys.stdout.write(json.dumps({"results": results, "threads": threads, "files": files, "caches": caches}))
 
     def act(self, observation: object) -> Action:
         return Action(done=True)

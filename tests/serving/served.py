@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.serving.conftest import PREAMBLE
 
 WITHOUT_WAITING = 1e9
-"""In place of the first pause [s] of ``hosting.remote``: longer than any deadline, so that nobody waits for a server
+"""In place of the first pause [s] of ``serving.opening``: longer than any deadline, so that no call waits for a server
 that is away."""
 
 
@@ -22,9 +22,8 @@ def served(
 ) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """Port and process of a server of class P of a module with that source. ``port`` 0: one that is free."""
     (folder / "under_test.py").write_text(PREAMBLE + textwrap.dedent(source))
-    command = [
-        sys.executable, "-m", "carecontact", "serve", "under_test:P", "--port", str(port), "--at-once", str(at_once)
-    ]  # fmt: skip
+    options = ["--port", str(port), "--at-once", str(at_once)]
+    command = [sys.executable, "-m", "carecontact", "serve", "under_test:P", *options]
     server = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert server.stdout is not None
     try:

@@ -16,7 +16,7 @@ from carecontact.serving import child, codec
 from carecontact.serving.arguments import ArgumentError, bind, parameters_of
 from carecontact.serving.child import ImportWall, raise_wall
 from carecontact.serving.process_tree import readable_descriptors
-from carecontact.serving.witness import TASK, TOLD, Witness
+from carecontact.serving.witness import RECEIVED_FILE, TASK, Witness
 from tests.policies.synthetic import SESSION, synthetic_observation
 
 if TYPE_CHECKING:
@@ -119,20 +119,10 @@ def test_a_class_without_a_constructor_takes_nothing() -> None:
         bind(Plain, {"steps": "1"})
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mujoco",
-        "mujoco.mjx",
-        *(
-            f"carecontact.{part}"
-            for part in (
-                "world", "sim", "observation", "trials", "recording", "recording.schema", "scoring", "stats", "reports",
-                "tasks", "protocols", "cli", "calibration", "contractual",
-            )
-        ),
-    ],
-)  # fmt: skip
+SHUT = "world sim sensing running recording recording.schema scoring stats report protocol cli contractual".split()
+
+
+@pytest.mark.parametrize("name", ["mujoco", "mujoco.mjx", *(f"carecontact.{part}" for part in SHUT)])
 def test_closed(name: str) -> None:
     with pytest.raises(ImportError, match=f"{name} is closed to policies") as caught:
         ImportWall().find_spec(name, None)
@@ -167,20 +157,18 @@ def made(tmp_path: Path) -> Witness:
 
 
 def test_it_asks_for_what_the_other_asks_for_and_plays_its_poses(made: Witness) -> None:
-    assert (made.card.name, made.card.modalities, made.card.cameras, made.card.control_hz) == (
-        "other", ("rgb",), ("wrist",), 20.0,
-    )  # fmt: skip
+    assert (made.card.name, made.card.modalities, made.card.cameras) == ("other", ("rgb",), ("wrist",))
+    assert made.card.control_hz == 20.0
     made.reset("touch")
     chunks = [made.act(synthetic_observation()) for _ in range(3)]
-    assert [[a.pose_tcp_in_base.tolist() for a in chunk if a.pose_tcp_in_base is not None] for chunk in chunks] == [
-        POSES[:2], POSES[2:4], POSES[4:],
-    ]  # fmt: skip
+    poses = [[a.pose_tcp_in_base.tolist() for a in chunk if a.pose_tcp_in_base is not None] for chunk in chunks]
+    assert poses == [POSES[:2], POSES[2:4], POSES[4:]]
     assert [a.done for chunk in chunks for a in chunk] == [False, False, False, False, True]
     with pytest.raises(ContractError, match="after the last of 5 poses"):
         made.act(synthetic_observation())
 
 
-def test_it_writes_down_what_it_was_told(made: Witness, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_writes_down_what_reached_it(made: Witness, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CARECONTACT_SEED", "3")
     monkeypatch.setattr(sys, "orig_argv", ["python", "-c", "code"])
     for name, value in {
@@ -195,15 +183,15 @@ def test_it_writes_down_what_it_was_told(made: Witness, tmp_path: Path, monkeypa
     made.configure(SESSION)
     with (tmp_path / "held").open("w"):
         made.reset("touch")
-        told = json.loads((tmp_path / TOLD).read_text())
+        received = json.loads((tmp_path / RECEIVED_FILE).read_text())
         if Path("/proc/self/fd").is_dir():
-            assert str(tmp_path / "held") in told["open_files"]
-    assert told["instruction"] == "touch"
-    assert told["session"] == json.loads(json.dumps(codec.encode_session(SESSION)))
-    assert told["environment"]["CARECONTACT_SEED"] == "3"
-    assert told["command_line"] == ["python", "-c", "code"]
-    assert told["options"] == {"target": "a:B", "arguments": {"seed": "3"}}
-    assert told["folder"] == os.getcwd()
+            assert str(tmp_path / "held") in received["open_files"]
+    assert received["instruction"] == "touch"
+    assert received["session"] == json.loads(json.dumps(codec.encode_session(SESSION)))
+    assert received["environment"]["CARECONTACT_SEED"] == "3"
+    assert received["command_line"] == ["python", "-c", "code"]
+    assert received["options"] == {"target": "a:B", "arguments": {"seed": "3"}}
+    assert received["folder"] == os.getcwd()
 
 
 def test_what_has_something_to_read_or_ended_is_returned() -> None:

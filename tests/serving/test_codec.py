@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import random
 import tracemalloc
 
 import msgpack
@@ -14,7 +13,6 @@ from hypothesis.extra import numpy as hnp
 from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
 from carecontact.interface.action import MAX_CHUNK, Action
 from carecontact.interface.action_spaces import check_action
-from carecontact.interface.observation import CameraView, Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.serving import codec
 from carecontact.serving.packing import DTYPES, MAX_ITEMS, MAX_REPLY_BYTES, MAX_VALUES, pack, unpack
@@ -227,7 +225,7 @@ def test_a_wrong_answer_on_the_wire_is_named_with_what_to_send(plain: object, sa
         (None, r"; a policy shows a PolicyCard as its attribute 'card', for example card = PolicyCard\(name="),
     ],
 )
-def test_what_stands_in_place_of_a_card_is_told_how_to_become_one(card: object, says: str) -> None:
+def test_a_hint_shows_how_to_make_a_card(card: object, says: str) -> None:
     with pytest.raises(PolicyError, match=says):
         codec.encode_card(card)
 
@@ -271,15 +269,15 @@ def test_a_wrong_card_is_a_handshake_failure(card: object, says: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "says"),
     [
         ({"seed": 3}, "unknown key seed"),
         ({"camera_sizes_px": {"wrist": [4.5, 3]}}, "camera_sizes_px.wrist: expected whole pixels"),
         ({"camera_sizes_px": {"wrist": [4, 3.5]}}, "camera_sizes_px.wrist: expected whole pixels"),
     ],
 )
-def test_a_wrong_session_is_refused(changed: dict[str, object], told: str) -> None:
-    with pytest.raises(ContractError, match=told):
+def test_a_wrong_session_is_refused(changed: dict[str, object], says: str) -> None:
+    with pytest.raises(ContractError, match=says):
         codec.decode_session(codec.encode_session(SESSION) | changed)
 
 
@@ -291,52 +289,6 @@ def test_non_finite_poses_travel_and_are_refused_by_the_contract(bad: float) -> 
         check_action(action, BOUNDS)
 
 
-def _mutations(data: bytes, count: int, seed: int) -> list[bytes]:
-    rng = random.Random(seed)
-    out = []
-    for _ in range(count):
-        piece = bytearray(data)
-        for _ in range(rng.randint(1, 4)):
-            at = rng.randrange(len(piece))
-            match rng.randrange(4):
-                case 0:
-                    piece[at] = rng.randrange(256)
-                case 1:
-                    del piece[at : at + rng.randint(1, 9)]
-                case 2:
-                    piece[at:at] = rng.randbytes(rng.randint(1, 9))
-                case _:
-                    piece[at] ^= 1 << rng.randrange(8)
-            if not piece:
-                break
-        out.append(bytes(piece))
-    return out
-
-
-def test_mutated_frames_are_refused_or_harmless() -> None:
-    """Every mutation gives a contract error or an object that satisfies the contract; never another exception."""
-    chunk = [Action(pose_tcp_in_base=np.arange(7.0), stiffness=(400.0, 20.0), gripper=0.5), Action(done=True)]
-    view = synthetic_view(height=2, width=2, points=1)
-    observation = pack(codec.encode_observation(synthetic_observation(cameras={"overhead": view})))
-    refused = 0
-    for data in _mutations(pack(codec.encode_actions(chunk)), 500, seed=1):
-        try:
-            for action in codec.decode_actions(unpack(data)):
-                assert check_action(action, BOUNDS).pose_tcp_in_base is None
-        except ContractError:
-            refused += 1
-    for data in _mutations(observation, 500, seed=2):
-        try:
-            decoded = codec.decode_observation(unpack(data))
-        except ContractError:
-            refused += 1
-        else:
-            assert isinstance(decoded, Observation)
-            assert all(isinstance(view, CameraView) for view in decoded.cameras.values())
-            codec.encode_observation(decoded)
-    assert refused > 300
-
-
 plain = st.recursive(
     st.none()
     | st.booleans()
@@ -346,10 +298,7 @@ plain = st.recursive(
     | st.sampled_from(DTYPES).flatmap(
         lambda d: hnp.arrays(np.dtype(d), hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3))
     ),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(st.text(max_size=5).filter(lambda k: k != "__ndarray__"), inner, max_size=3)
-    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=8,
 )
 
@@ -403,9 +352,9 @@ def _array(**changes: object) -> bytes:
         (_array(shape=[1 << 20, 1 << 20], data=b""), "elements"),
         (_array(shape="2"), "shape"),
         (_array(data="text"), "got str"),
-        (_array(data="absent"), "expected an array with keys"),
-        (_array(__ndarray__=1), "expected an array with keys"),
-        (_array(pickle=b"x"), "expected an array with keys"),
+        (_array(data="absent"), "expected an array with the keys"),
+        (_array(__ndarray__=1), "expected an array with the keys"),
+        (_array(pickle=b"x"), "expected an array with the keys"),
         (_array(dtype="|b1", data=b"\x00\x02"), "expected 0 or 1 in a bool array, got the byte 2"),
         (b"", "not"),
         (b"\xc1", "not"),
@@ -438,6 +387,18 @@ def test_many_small_values_are_refused_before_they_fill_memory(value: bytes) -> 
         assert tracemalloc.get_traced_memory()[1] < 64 << 20
     finally:
         tracemalloc.stop()
+
+
+def test_a_length_that_is_claimed_allocates_nothing() -> None:
+    tracemalloc.start()
+    for claim in (b"\xc6\x7f\xff\xff\xff", b"\xdd\x7f\xff\xff\xff", b"\xdf\x7f\xff\xff\xff", b"\xdb\x7f\xff\xff\xff"):
+        with pytest.raises(ContractError):
+            unpack(claim + bytes(64))
+    with pytest.raises(ContractError, match="expected a shape"):
+        unpack(_array(shape=[1 << 25, 1 << 25]))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < MAX_REPLY_BYTES
 
 
 @pytest.mark.parametrize("data", [bytes(1 << 20), pack({"k" * 60_000: {"__ndarray__": True}})])

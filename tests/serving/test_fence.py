@@ -6,7 +6,7 @@ import shutil
 import socket
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.fence import (
     CREATE_RULESET,
     READ,
-    READ_FILE,
     RESOLVE_SOCKET,
     SYSTEM,
     VERSION_FLAG,
@@ -42,27 +41,34 @@ from tests.serving import leaks
 
 Try = Callable[..., dict[str, Any]]
 
-SINCE_SCOPES = {
-    "signal the harness", "signal the harness through a child", "connect to an abstract socket",
-}  # fmt: skip
+SINCE_SCOPES = {"signal the harness", "signal the harness through a child", "connect to an abstract socket"}
 OF_PROCESSES = {
-    "limit the files of the harness", "limit the processor time of the harness through a child",
-    "change the harness's priority at the disk", "processor time of the harness",
-}  # fmt: skip
+    "limit the files of the harness",
+    "limit the processor time of the harness through a child",
+    "change the harness's priority at the disk",
+    "processor time of the harness",
+}
 """Closed where the policy does not see the process."""
 HIDDEN = {
-    "learn that a process exists", "learn how many files the harness holds open",
-    "change the priority of the harness", "bind the harness to processors",
-}  # fmt: skip
+    "learn that a process exists",
+    "learn how many files the harness holds open",
+    "change the priority of the harness",
+    "bind the harness to processors",
+}
 """Open otherwise."""
 SINCE_RESOLVE = {"connect to a socket with a path"}
 PRIORITY = {"change the priority of the harness", "bind the harness to processors"}
 """Closed to root's policy, which has fewer privileges than the harness."""
 TRACING = {
-    "variables of the harness", "memory of the harness", "map of the harness's memory", "working folder of the harness",
-    "list the files that the harness holds open", "trace the harness", "copy memory of the harness",
+    "variables of the harness",
+    "memory of the harness",
+    "map of the harness's memory",
+    "working folder of the harness",
+    "list the files that the harness holds open",
+    "trace the harness",
+    "copy memory of the harness",
     "take a descriptor of the harness",
-}  # fmt: skip
+}
 """What some systems close to any process that is no ancestor, with or without Landlock."""
 needs_landlock = pytest.mark.skipif(not version(), reason="this system has no Landlock")
 
@@ -85,10 +91,12 @@ def attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Try:
     def run_it(*, watcher: bool = False, **given: Any) -> dict[str, Any]:
         name = f"carecontact-test-{os.getpid()}"
         setup = PolicySetup(
-            ref=PolicyRef.parse("leaks:Leaks"), search_path=(str(folder),),
+            ref=PolicyRef.parse("leaks:Leaks"),
+            search_path=(str(folder),),
             arguments={"socket_name": name, "harness": str(0 if watcher else os.getpid())},
-            closed=tuple(str(folder / "runs" / run) for run in ("now", "earlier")), **given,
-        )  # fmt: skip
+            closed=tuple(str(folder / "runs" / run) for run in ("now", "earlier")),
+            **given,
+        )
         named = tmp_path / "outside" / "socket"
         named.unlink(missing_ok=True)
         with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as other:
@@ -107,46 +115,46 @@ def attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Try:
 
 @needs_landlock
 @pytest.mark.parametrize("watcher", [False, True], ids=["harness", "watcher"])
-def test_a_policy_gets_nothing_of_what_is_said_to_be_closed(
+def test_a_policy_gets_nothing_of_what_the_threat_model_closes(
     attempt: Try, tmp_path: Path, watcher: bool, sandbox: bool
 ) -> None:
-    told = attempt(watcher=watcher)
+    found = attempt(watcher=watcher)
     expected = set(leaks.tries(tmp_path, "", 0)) - (SINCE_SCOPES if version() < 6 and not sandbox else set())
     expected |= SINCE_RESOLVE if version() >= 9 else set()
     expected |= HIDDEN if sandbox and not watcher else set()
     expected -= set() if sandbox and not watcher else OF_PROCESSES
-    assert {name for name, said in told["said"].items() if said == "open"} & expected == set()
-    assert told["isolation"] == available()
-    assert not [path for path in told["files"] if not path.startswith("/proc/")], "descriptors of the harness"
-    assert all(told["caches"]), "libraries keep what they compile where the policy may write"
+    assert {name for name, result in found["results"].items() if result == "open"} & expected == set()
+    assert found["isolation"] == available()
+    assert not [path for path in found["files"] if not path.startswith("/proc/")], "descriptors of the harness"
+    assert all(found["caches"]), "libraries keep what they compile where the policy may write"
     # Every thread: a policy could otherwise let one that is free act for it.
-    assert {thread["NoNewPrivs"] for thread in told["threads"]} == {"1"}
-    assert {int(thread["CapEff"], 16) for thread in told["threads"]} == {2 if os.geteuid() == 0 else 0}
+    assert {thread["NoNewPrivs"] for thread in found["threads"]} == {"1"}
+    assert {int(thread["CapEff"], 16) for thread in found["threads"]} == {2 if os.geteuid() == 0 else 0}
 
 
 @pytest.mark.parametrize("watcher", [False, True], ids=["harness", "watcher"])
 def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path, watcher: bool) -> None:
     """So that the test above can fail."""
-    told = attempt(isolated=False, watcher=watcher)
+    found = attempt(isolated=False, watcher=watcher)
     expected = set(leaks.tries(tmp_path, "", 0))
     if os.geteuid() != 0:
         expected -= TRACING
     if not os.access(Path(carecontact.__file__).parent, os.W_OK):
         expected -= {"write into the package", "add a module to the package"}
-    assert {name for name in expected if told["said"][name] != "open"} == set()
-    assert told["isolation"] == "none: switched off"
+    assert {name for name in expected if found["results"][name] != "open"} == set()
+    assert found["isolation"] == "none: switched off"
 
 
 @needs_landlock
 def test_what_stays_open(attempt: Try, tmp_path: Path, sandbox: bool) -> None:
     """docs/threat-model.md names it."""
-    told = attempt()
+    found = attempt()
     expected = set(leaks.stays_open(tmp_path, 0)) - (PRIORITY if os.geteuid() == 0 else set())
     expected -= SINCE_RESOLVE if version() >= 9 or (sandbox and tmp_path.is_relative_to("/tmp")) else set()
     expected -= HIDDEN if sandbox else set()
     if Path(carecontact.__file__).stat().st_uid != os.geteuid():
         expected -= {"hold a lease on a file that the harness opens"}
-    assert {name for name in expected if told["said"][name] != "open"} == set()
+    assert {name for name in expected if found["results"][name] != "open"} == set()
 
 
 @pytest.mark.parametrize(
@@ -179,15 +187,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def asked(folder: Path, **changed: object) -> dict[str, int]:
+def asked(folder: Path, **changed: Any) -> dict[str, int]:
     return asked_for(folder, **changed).rights
 
 
-def asked_for(folder: Path, **changed: object) -> Allowed:
-    given: dict[str, object] = {
-        "search_path": [str(folder)], "target": "mine:P", "given": [], "readable": [], "writable": [], "closed": [],
-    }  # fmt: skip
-    return allowed(**{**given, **changed})  # pyright: ignore[reportArgumentType]
+def asked_for(folder: Path, *, given: Sequence[str] = (), record: str | None = None, **changed: Any) -> Allowed:
+    options: Any = {"search_path": [str(folder)], "target": "mine:P", "environment": [], "closed": []}
+    options |= {"readable": [], "writable": [], "language": {} if record is None else {"record": record}}
+    return allowed({**options, "arguments": dict(enumerate(given)), **changed})
 
 
 def test_a_folder_without_what_is_closed_in_it(folder: Path) -> None:
@@ -219,10 +226,10 @@ def test_the_machines_counters_of_processor_time_are_among_the_clocks_or_not_nam
 
 
 def test_a_policy_reads_its_folder_its_arguments_and_the_interpreter(folder: Path, tmp_path: Path) -> None:
-    told = folder / "said.jsonl"
-    told.touch()
-    found = asked(folder, given=["3", "", f"replay:{told}", f"{folder / 'weights'}{os.pathsep}/nowhere"])
-    for place in (folder, told, folder / "weights", Path(sys.prefix).resolve()):
+    replay = folder / "said.jsonl"
+    replay.touch()
+    found = asked(folder, given=["3", "", f"replay:{replay}", f"{folder / 'weights'}{os.pathsep}/nowhere"])
+    for place in (folder, replay, folder / "weights", Path(sys.prefix).resolve()):
         assert found[str(place)] == READ, place
     assert not {"/nowhere", "3", ""} & set(found)
     assert not [path for path in ("/", "/etc", "/home", "/root", "/tmp", "/run", "/proc") if path in found]
@@ -239,9 +246,8 @@ def test_places_are_named_as_the_policy_names_them(folder: Path) -> None:
 def test_what_the_user_opens(folder: Path) -> None:
     record = str(folder / "record.jsonl")
     found = asked(folder, readable=["/data"], writable=["/logs"], record=record)
-    assert (found["/data"], found["/logs"] & (READ | WRITE), found[record]) == (
-        READ, READ | WRITE, READ_FILE | WRITE_FILE,
-    )  # fmt: skip
+    assert (found["/data"], found["/logs"] & (READ | WRITE)) == (READ, READ | WRITE)
+    assert found[record] & (READ | WRITE) == READ | WRITE_FILE
 
 
 def test_no_place_that_may_be_written_holds_a_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,9 +51,7 @@ def folder() -> Iterator[Path]:
 
 def seen_by_policy(search_path: Path, paths: Sequence[Path], **given: Any) -> dict[str, Any]:
     arguments = {"paths": os.pathsep.join(map(str, paths)), **given.pop("arguments", {})}
-    setup = PolicySetup(
-        ref=PolicyRef.parse("stored:P"), search_path=(str(search_path),), arguments=arguments, **given
-    )  # fmt: skip
+    setup = PolicySetup(ref=PolicyRef.parse("stored:P"), search_path=(str(search_path),), arguments=arguments, **given)
     with PolicyProcess(setup, first_deadline_s=60, deadline_s=60) as process:
         process.start()
         process.close()
@@ -66,9 +64,12 @@ def test_what_is_named_lies_where_it_was_and_the_rest_is_hidden(folder: Path) ->
     (folder / "mine" / "runs").mkdir()
     (folder / "mine" / "runs" / "T1-s000.h5").write_text("seed 3")
     found = seen_by_policy(
-        folder / "link", [folder / "link" / "stored.py", folder / "data"], readable=(str(folder / "mine"),),
-        writable=(str(folder / "mine"),), arguments={"writes": str(folder / "mine" / "left")},
-    )  # fmt: skip
+        folder / "link",
+        [folder / "link" / "stored.py", folder / "data"],
+        readable=(str(folder / "mine"),),
+        writable=(str(folder / "mine"),),
+        arguments={"writes": str(folder / "mine" / "left")},
+    )
     assert found["exist"] == [True, True]
     assert found["read"][1] == "data"
     assert (folder / "mine" / "left").read_text() == "kept"
@@ -99,9 +100,9 @@ def test_a_process_that_may_not_make_them_runs_policies_without() -> None:
         "from carecontact.serving.fence import available; print(available())"
     )
     root = str(Path(carecontact.__file__).parents[1])
-    said = subprocess.run([sys.executable, "-c", code, root], capture_output=True, text=True, check=True).stdout
-    assert "namespaces and Landlock" not in said
-    assert "without namespaces" in said or "neither namespaces" in said
+    text = subprocess.run([sys.executable, "-c", code, root], capture_output=True, text=True, check=True).stdout
+    assert "namespaces and Landlock" not in text
+    assert "without namespaces" in text or "neither namespaces" in text
 
 
 def test_another_sandbox_starts_the_policy_and_is_recorded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,21 +126,21 @@ def test_the_variable_runs_policies_without(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize(
-    "said",
+    "text",
     [
         "PermissionError: [Errno 13] Permission denied: '{}'",
         "cannot be recorded in {}: Permission denied",
         "FileNotFoundError: [Errno 2] No such file or directory: '{}'",
     ],
 )
-def test_a_closed_file_is_named_with_the_option_that_opens_it(tmp_path: Path, said: str) -> None:
+def test_a_closed_file_is_named_with_the_option_that_opens_it(tmp_path: Path, text: str) -> None:
     (tmp_path / "weights").touch()
-    message = said.format(tmp_path / "weights")
+    message = text.format(tmp_path / "weights")
     assert f"--policy-read {tmp_path}/weights" in remedy(message, isolation="full")
     assert remedy(message, isolation="none: switched off") == remedy(message, isolation=None) == ""
 
 
-def test_what_nobody_can_read_or_is_no_matter_of_files_has_no_remedy(tmp_path: Path) -> None:
+def test_an_unreadable_path_and_an_error_without_one_have_no_remedy(tmp_path: Path) -> None:
     denied = f"Permission denied: '{tmp_path}/no/such/folder'"
     missing = f"No such file or directory: '{tmp_path}/weights'"
     assert remedy(missing, isolation="full") == ""

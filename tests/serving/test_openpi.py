@@ -14,7 +14,6 @@ import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, strategies
-from hypothesis.extra import numpy as arrays
 from websockets.sync.server import ServerConnection
 
 from carecontact.audit.raw_log import pose_hand_in_base
@@ -25,7 +24,7 @@ from carecontact.interface.robot import PANDA
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.dialect_media import cropped_16_9, padded, stretched
 from carecontact.serving.openpi import cartesian_position, digest, pack, unpack
-from carecontact.serving.packing import DTYPES, MAX_REPLY_BYTES
+from carecontact.serving.packing import MAX_REPLY_BYTES
 from tests.policies.synthetic import SESSION
 from tests.serving.fakes import (
     INSTRUCTION,
@@ -46,6 +45,7 @@ from tests.serving.fakes import (
     talk,
     unmark,
 )
+from tests.serving.test_codec import plain
 from tests.serving.test_opening import speaking
 
 ARENA = "roboarena://127.0.0.1:{}"
@@ -83,9 +83,12 @@ def test_a_request_holds_what_droids_client_sends_and_nothing_else() -> None:
         (reply,) = talk(VELOCITY.format(port), calls=1)
     (heard,) = server.heard
     assert list(heard) == [
-        "observation/exterior_image_1_left", "observation/wrist_image_left", "observation/joint_position",
-        "observation/gripper_position", "prompt",
-    ]  # fmt: skip
+        "observation/exterior_image_1_left",
+        "observation/wrist_image_left",
+        "observation/joint_position",
+        "observation/gripper_position",
+        "prompt",
+    ]
     exterior, wrist = heard["observation/exterior_image_1_left"], heard["observation/wrist_image_left"]
     np.testing.assert_array_equal(exterior, padded(picture(360, 640), (224, 224)), strict=True)
     np.testing.assert_array_equal(wrist, padded(picture(480, 640)[60:420], (224, 224)), strict=True)
@@ -93,18 +96,6 @@ def test_a_request_holds_what_droids_client_sends_and_nothing_else() -> None:
     np.testing.assert_array_equal(heard["observation/gripper_position"], np.ones(1), strict=True)
     assert heard["prompt"] == INSTRUCTION
     assert reply.sent_sha256 == hashlib.sha256(reply.sent).digest()
-
-
-def test_the_pictures_are_neither_turned_nor_bgr() -> None:
-    """A red corner at the top left stays there: under 49 black rows, in the first channel."""
-    server = Openpi()
-    with server.running() as port:
-        talk(VELOCITY.format(port), calls=1)
-    exterior = server.heard[0]["observation/exterior_image_1_left"]
-    assert not exterior[:49].any()
-    assert tuple(exterior[60, 10]) == (250, 20, 5)
-    assert tuple(exterior[160, 10]) != (250, 20, 5)
-    assert tuple(exterior[60, 210]) != (250, 20, 5)
 
 
 def test_the_first_exterior_camera_may_be_number_0() -> None:
@@ -116,9 +107,11 @@ def test_the_first_exterior_camera_may_be_number_0() -> None:
 
 @pytest.mark.parametrize(
     ("address", "space", "control", "name"),
-    [(VELOCITY, "droid_joint_velocity", "droid", "openpi pi05-droid"),
-     (POSITION, "joint_position", "droid-sim-evals", "openpi pi05-droid-jointpos")],
-)  # fmt: skip
+    [
+        (VELOCITY, "droid_joint_velocity", "droid", "openpi pi05-droid"),
+        (POSITION, "joint_position", "droid-sim-evals", "openpi pi05-droid-jointpos"),
+    ],
+)
 def test_the_card_says_all_that_was_chosen(address: str, space: str, control: str, name: str) -> None:
     with Openpi().running() as port:
         card, other = card_at(address.format(port)), card_at(address.format(port) + "&horizon=5")
@@ -156,9 +149,10 @@ def test_roboarena_names_cameras_from_0_or_from_1_and_executes_all(first: int, s
     assert server.paths == [OMNI_PATH]
     request = server.heard[1]
     for name, image in (
-        (f"exterior_image_{first}_left", picture(360, 640)), (f"exterior_image_{first + 1}_left", picture(482, 640)),
+        (f"exterior_image_{first}_left", picture(360, 640)),
+        (f"exterior_image_{first + 1}_left", picture(482, 640)),
         ("wrist_image_left", picture(480, 640)),
-    ):  # fmt: skip
+    ):
         np.testing.assert_array_equal(request[f"observation/{name}"], stretched(cropped_16_9(image), (224, 224)))
 
 
@@ -167,13 +161,6 @@ def test_openpi_without_a_profile_takes_what_the_server_says_of_itself() -> None
         card = card_at(f"openpi://127.0.0.1:{port}")
     assert (card.name, card.action_space, card.control) == ("roboarena", "joint_position", "droid")
     assert '"image_resolution": null' in card.arguments["told"]
-
-
-def test_a_resolution_of_none_gets_pictures_as_captured() -> None:
-    server = RoboArena(resolution=None)
-    with server.running() as port:
-        talk(f"roboarena://127.0.0.1:{port}", calls=1)
-    assert server.heard[1]["observation/wrist_image_left"].shape == (288, 512, 3)
 
 
 def test_a_session_id_is_random_and_the_digest_does_not_depend_on_it() -> None:
@@ -248,21 +235,23 @@ ZEROS = np.zeros((10, 8))
         (lambda reply: {"actions": ZEROS > 1}, "action", "expected an array of numbers"),
         (lambda reply: {"actions": [[0.0] * 8]}, "action", r"got list \[\[0.0"),
         (lambda reply: {"actions": "up"}, "action", "got str 'up'"),
-        (lambda reply: msgpack.packb({b"actions": 1}), "garbage", "text as keys outside arrays, got b'actions'"),
+        (lambda reply: msgpack.packb({b"actions": 1}), "garbage", "expected text as map keys, got b'actions'"),
         (
             lambda reply: msgpack.packb({"actions": {"__ndarray__": True, "data": b"", "dtype": "<f4", "shape": [0]}}),
-            "garbage", "got text; pack with openpi_client.msgpack_numpy",
+            "garbage",
+            "got '__ndarray__'; pack with openpi_client.msgpack_numpy",
         ),
         (
             lambda reply: msgpack.packb(
                 {"actions": {b"__ndarray__": True, b"data": b"", b"dtype": "|O", b"shape": []}}
             ),
-            "garbage", "expected an array dtype out of",
+            "garbage",
+            "expected an array dtype out of",
         ),
         (lambda reply: b"\xc1", "garbage", "actions message: expected msgpack, got 1 bytes"),
         (lambda reply: bytes(5 << 20), "oversize", "at most 4194304 bytes"),
     ],
-)  # fmt: skip
+)
 def test_an_answer_that_cannot_be_executed_is_named(fault: object, kind: str, says: str) -> None:
     with Openpi(fault=fault).running() as port, pytest.raises(PolicyError) as caught:  # pyright: ignore[reportArgumentType]
         talk(VELOCITY.format(port), calls=1)
@@ -284,7 +273,8 @@ def test_targets_in_degrees_are_named() -> None:
         ({}, ARENA, r"expected the field action_space \(.*\), got \[\]; .*is openpi://HOST:PORT\?profile=NAME, one of"),
         ({"action_space": "cartesian_velocity"}, "openpi://127.0.0.1:{}", "got 'cartesian_velocity'; no other one"),
         (
-            {"action_space": "joint_position"}, VELOCITY,
+            {"action_space": "joint_position"},
+            VELOCITY,
             r"action_space is 'joint_position' in .* metadata and 'joint_velocity' in the profile; the address "
             r"that fits has \?profile=pi05-droid-jointpos or no profile$",
         ),
@@ -292,7 +282,8 @@ def test_targets_in_degrees_are_named() -> None:
         ({"needs_stereo_camera": True}, POSITION, "in the profile; no profile fits$"),
         ({"action_space": "joint_velocity"}, "openpi://127.0.0.1:{}?horizon=3", "leave horizon out"),
         (
-            {"action_space": "joint_velocity", "needs_stereo_camera": True}, ARENA,
+            {"action_space": "joint_velocity", "needs_stereo_camera": True},
+            ARENA,
             "needs_stereo_camera: no camera of this benchmark has two pictures",
         ),
         (
@@ -303,7 +294,7 @@ def test_targets_in_degrees_are_named() -> None:
         ({"action_space": "joint_velocity", "image_resolution": [1 << 20, 9]}, ARENA, "16 to 2048"),
         ({"action_space": "joint_velocity", "needs_session_id": 1}, ARENA, "expected true or false"),
     ],
-)  # fmt: skip
+)
 def test_metadata_that_decide_nothing_or_too_much_are_named(metadata: object, address: str, says: str) -> None:
     server = Openpi(metadata=metadata)  # pyright: ignore[reportArgumentType]
     with server.running() as port, pytest.raises(PolicyError, match=says) as caught:
@@ -316,13 +307,6 @@ def test_a_camera_named_otherwise_is_the_servers_own_error() -> None:
     with RoboArena(first=0).running() as port, pytest.raises(PolicyError, match="exterior_image_0_left") as caught:
         talk(f"roboarena://127.0.0.1:{port}")
     assert caught.value.kind == "exception"
-
-
-class Hangs(Fake):
-    def converse(self, connection: object) -> None:
-        connection.send(msgpack.packb({}))  # pyright: ignore[reportAttributeAccessIssue]
-        for _ in connection:  # pyright: ignore[reportGeneralTypeIssues]
-            pass
 
 
 class Closes(Openpi):
@@ -369,14 +353,13 @@ def test_no_more_is_kept_of_a_reply_than_its_bound(server: Fake) -> None:
 @pytest.mark.parametrize(
     ("server", "kind", "says"),
     [
-        (Hangs(), "timeout", "no actions message within"),
         (Closes(), "died", "closed the connection without an answer"),
         (Huge(), "oversize", "at most 4194304 bytes"),
     ],
 )
 def test_a_lost_connection_is_the_trials_failure_and_never_a_new_one(server: Fake, kind: str, says: str) -> None:
     with server.running() as port, pytest.raises(PolicyError, match=says) as caught:
-        talk(VELOCITY.format(port), deadline_s=0.5 if kind == "timeout" else 20)
+        talk(VELOCITY.format(port))
     assert caught.value.kind == kind
     assert len(server.paths) == 1
 
@@ -396,14 +379,6 @@ def test_a_refused_handshake_says_what_to_add(status: int, says: str) -> None:
         with pytest.raises(PolicyError, match=says) as caught:
             talk(VELOCITY.format(port))
     assert caught.value.kind == "handshake"
-
-
-def test_nothing_listens() -> None:
-    with Openpi().running() as port:
-        pass
-    with pytest.raises(PolicyError, match=r"nothing listens at .*start the policy's server there first") as caught:
-        talk(VELOCITY.format(port), deadline_s=0.5)
-    assert caught.value.kind == "start"
 
 
 def test_a_reset_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -426,7 +401,7 @@ def test_an_observation_without_the_picture_is_the_harnesss_mistake() -> None:
             policy.act(replace(seen(), cameras={"exterior": seen().cameras["exterior"]}))
 
 
-# openpi's packing against bytes that its own client made, and against bytes that nobody should send.
+# openpi's packing against bytes that its own client made, and against bytes that no client should send.
 
 DATA = Path(__file__).parents[1] / "data" / "openpi"
 
@@ -442,15 +417,15 @@ def test_a_reply_of_openpis_own_packing_is_understood(steps: int) -> None:
     assert list(reply) == ["actions", "state", "policy_timing", "server_timing"]
     np.testing.assert_array_equal(reply["actions"], actions(steps), strict=True)
     assert reply["policy_timing"] == {"infer_ms": 41.5}
-    with pytest.raises(ValueError, match="read-only"):
-        reply["actions"][0] = 0
 
 
 def test_bare_arrays_and_metadata_are_understood() -> None:
     np.testing.assert_array_equal(unpack((DATA / "bare.bin").read_bytes()), actions(4), strict=True)
     assert unpack((DATA / "metadata.bin").read_bytes()) == {
-        "reset_pose": metadata()["reset_pose"], "scale": 0.5, "flag": True
-    }  # fmt: skip
+        "reset_pose": metadata()["reset_pose"],
+        "scale": 0.5,
+        "flag": True,
+    }
 
 
 def array(**changes: object) -> dict[bytes, object]:
@@ -462,63 +437,27 @@ def array(**changes: object) -> dict[bytes, object]:
     ("message", "says"),
     [
         ({"a": array(dtype="|O")}, r"message.a: expected an array dtype out of .*got '\|O'"),
-        ({"a": array(dtype="<U2")}, "expected an array dtype"),
-        ({"a": array(dtype="<c8")}, "expected an array dtype"),
-        ({"a": array(dtype="<f4,<f4")}, "expected an array dtype"),
         ({"a": array(shape=[3])}, r"expected 12 bytes for an array \[3\] of <f4, got 8 bytes"),
-        ({"a": array(shape=[-2])}, "expected a shape of at most"),
-        ({"a": array(shape=[1 << 40])}, "expected a shape of at most"),
-        ({"a": array(shape=[1] * 5)}, "expected a shape of at most 4 sizes"),
         ({"a": array(data="text")}, "expected 8 bytes .* got str"),
         ({"a": array(more=1)}, "with the keys"),
         ({"a": array(__ndarray__=1)}, "with the keys"),
         ({"a": {b"__npgeneric__": True, b"data": [1], b"dtype": "<f4"}}, "expected a number of one of"),
         ({"a": {b"__npgeneric__": True, b"data": 1, b"dtype": "|O"}}, "expected a number of one of"),
         ({"a": {b"__npgeneric__": True, b"data": 300, b"dtype": "|u1"}}, r"expected a number of \|u1, got 300"),
-        ({b"actions": 1}, "expected text as keys outside arrays, got b'actions'"),
-        ({"__ndarray__": True, "data": b"", "dtype": "<f4", "shape": [0]}, "got text; pack with openpi_client.msgpack"),
+        ({"a": {b"__npgeneric__": True, b"data": 1}}, "with the keys"),
+        ({b"actions": 1}, "expected text as map keys, got b'actions'"),
+        ({"__ndarray__": True}, "got '__ndarray__'; pack with openpi_client.msgpack"),
+        ({"__npgeneric__": True}, "got '__npgeneric__'; pack with openpi_client.msgpack"),
         ({1: 2}, "expected msgpack, got"),
     ],
 )
 def test_what_is_not_openpis_is_refused(message: object, says: str) -> None:
+    """The bounds of both packings are one code, which test_codec.py tests."""
     with pytest.raises(ContractError, match=says):
         unpack(msgpack.packb(message))
 
 
-def test_depth_repeats_and_sizes_are_bounded() -> None:
-    with pytest.raises(ContractError, match="expected at most 8 levels"):
-        unpack(b"\x91" * 10 + b"\xc0")
-    with pytest.raises(ContractError, match="each key of a map once"):
-        unpack(b"\x82\xa1a\x01\xa1a\x02")
-    with pytest.raises(ContractError, match=f"at most {MAX_REPLY_BYTES} bytes"):
-        unpack(bytes(MAX_REPLY_BYTES + 1))
-
-
-def test_a_length_that_is_claimed_allocates_nothing() -> None:
-    tracemalloc.start()
-    for claim in (b"\xc6\x7f\xff\xff\xff", b"\xdd\x7f\xff\xff\xff", b"\xdf\x7f\xff\xff\xff", b"\xdb\x7f\xff\xff\xff"):
-        with pytest.raises(ContractError):
-            unpack(claim + bytes(64))
-    with pytest.raises(ContractError, match="expected a shape"):
-        unpack(msgpack.packb({"a": array(shape=[1 << 25, 1 << 25])}))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < MAX_REPLY_BYTES
-
-
-VALUES = strategies.recursive(
-    strategies.none() | strategies.booleans() | strategies.integers(-(2**63), 2**64 - 1) | strategies.text(max_size=9)
-    | arrays.arrays(
-        strategies.sampled_from([np.dtype(dtype) for dtype in DTYPES]),
-        arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
-    ),
-    lambda inner: strategies.lists(inner, max_size=3) | strategies.dictionaries(strategies.text(max_size=9), inner,
-                                                                                max_size=3),
-    max_leaves=6,
-)  # fmt: skip
-
-
-@given(VALUES)
+@given(plain)
 def test_what_is_packed_comes_back(value: object) -> None:
     assert pack(unpack(pack(value))) == pack(value)
 
@@ -538,8 +477,8 @@ def test_any_bytes_are_understood_or_refused_with_a_reason(data: bytes) -> None:
         ),
         ("vla-eval://gpu:8000?space=joint", r"no action space 'joint' in this dialect.*valid: droid_joint_vel"),
     ],
-)  # fmt: skip
-def test_a_name_that_nobody_knows_is_refused_before_anything_is_connected(address: str, says: str) -> None:
+)
+def test_an_unknown_name_is_refused_before_anything_is_connected(address: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says) as caught:
         PolicySetup.of(address)
     assert address in str(caught.value)

@@ -105,11 +105,17 @@ def test_the_page_s_python_reads_and_writes_messages(tool: ModuleType) -> None:
 def test_the_limits_are_those_of_the_code() -> None:
     phases = load_protocol().phases
     for stated in (
-        f"{phases.first_call_deadline_s:g} s each", f"{phases.call_deadline_s:g} s (`phases.call_deadline_s`)",
-        f"{BUDGET_S / 3600:g} hour", f"{MAX_MESSAGE_BYTES >> 20} MiB", f"{MAX_REPLY_BYTES >> 20} MiB",
-        f"{MAX_ITEMS:,} entries", f"{MAX_TEXT_BYTES >> 10} KiB", f"{MAX_DEPTH} levels", f"1 to {MAX_CHUNK:,} actions",
+        f"{phases.first_call_deadline_s:g} s each",
+        f"{phases.call_deadline_s:g} s (`phases.call_deadline_s`)",
+        f"{BUDGET_S / 3600:g} hour",
+        f"{MAX_MESSAGE_BYTES >> 20} MiB",
+        f"{MAX_REPLY_BYTES >> 20} MiB",
+        f"{MAX_ITEMS:,} entries",
+        f"{MAX_TEXT_BYTES >> 10} KiB",
+        f"{MAX_DEPTH} levels",
+        f"1 to {MAX_CHUNK:,} actions",
         *DTYPES,
-    ):  # fmt: skip
+    ):
         assert stated in PAGE, stated
 
 
@@ -122,9 +128,11 @@ def test_the_instructions_and_the_landmarks_are_those_of_the_code() -> None:
     assert f"and {right[0]}, {right[1]}, {right[2]} and {right[3]} the right ones" in text
 
 
-@pytest.mark.parametrize(("said", "kept"), [("short", "\nValueError: short\n"), ("x" * 5000, "xxx [...]")])
-def test_of_a_long_traceback_the_end_of_the_stack_and_the_start_of_the_message_are_kept(said: str, kept: str) -> None:
-    error: BaseException = ValueError(said)
+@pytest.mark.parametrize(("message", "kept"), [("short", "\nValueError: short\n"), ("x" * 5000, "xxx [...]")])
+def test_of_a_long_traceback_the_end_of_the_stack_and_the_start_of_the_message_are_kept(
+    message: str, kept: str
+) -> None:
+    error: BaseException = ValueError(message)
     error.__cause__ = RuntimeError("earlier\n" * 1000 + "last frame")
     text = traceback_text(error)
     assert len(text) == TRACEBACK_CHARS
@@ -159,7 +167,9 @@ def test_a_policy_without_notes_has_none(launch: Launch) -> None:
 
 
 @pytest.mark.parametrize(("error", "kind"), [("LanguageError", "language"), ("ProgramError", "program")])
-def test_a_failure_of_language_is_told_without_traceback_and_with_notes(launch: Launch, error: str, kind: str) -> None:
+def test_a_failure_of_language_is_reported_without_traceback_and_with_notes(
+    launch: Launch, error: str, kind: str
+) -> None:
     process = launch(
         f"""
         from carecontact.errors import {error}
@@ -196,9 +206,13 @@ def test_notes_that_fail_do_not_hide_the_failure(launch: Launch, notes: str) -> 
 
 @pytest.mark.parametrize(
     ("notes", "kind"),
-    [("{'a': object()}", "exception"), ("{'../up': 1}", "garbage"), ("[1]", "garbage"),
-     ("{'a': np.zeros(5_000_000)}", "oversize")],
-)  # fmt: skip
+    [
+        ("{'a': object()}", "exception"),
+        ("{'../up': 1}", "garbage"),
+        ("[1]", "garbage"),
+        ("{'a': np.zeros(5_000_000)}", "oversize"),
+    ],
+)
 def test_bad_notes_are_the_policys_failure(launch: Launch, notes: str, kind: str) -> None:
     process = launch(f"class P(Base):\n            def take_notes(self):\n                return {notes}")
     with pytest.raises(PolicyError) as caught:

@@ -101,7 +101,7 @@ def test_the_space_comes_from_a_known_spec_or_from_the_address(
         ({"protocol_version": 2}, "expected protocol_version 1, got 2"),
     ],
 )
-def test_a_server_whose_actions_nobody_knows_is_refused(payload: dict[str, object], says: str) -> None:
+def test_a_server_with_unknown_actions_is_refused(payload: dict[str, object], says: str) -> None:
     with VlaEval(payload=payload).running() as port, pytest.raises(PolicyError, match=says) as caught:
         talk(ADDRESS.format(port))
     assert caught.value.kind == "handshake"
@@ -116,7 +116,7 @@ DELTAS = {
 
 @pytest.mark.parametrize("query", ["", "?space=joint_position", "?space=droid_joint_velocity"])
 @pytest.mark.parametrize(
-    ("parts", "told"),
+    ("parts", "named"),
     [
         (DELTAS, r"gripper \(1 of 'binary_close_positive'\), position \(3 of 'delta_xyz'\), rotation \(3 of"),
         ({"position": {"dims": 3, "format": "absolute_xyz"}}, r"position \(3 of 'absolute_xyz'\)"),
@@ -130,9 +130,9 @@ DELTAS = {
     ],
 )
 def test_actions_that_no_space_executes_are_refused_and_no_address_helps(
-    parts: dict[str, object], told: str, query: str
+    parts: dict[str, object], named: str, query: str
 ) -> None:
-    says = f"the server says that its actions are .*{told}.*, which no action space here executes; expected joints"
+    says = f"the server says that its actions are .*{named}.*, which no action space here executes; expected joints"
     with (
         VlaEval(payload=spec(**parts)).running() as port,
         pytest.raises(PolicyError, match=says) as caught,
@@ -147,15 +147,19 @@ def test_actions_that_no_space_executes_are_refused_and_no_address_helps(
     ("form", "named", "remedy"),
     [
         ("joint_positions", "droid_joint_velocity", "leave space out"),
-        ("joint_pos_abs", "droid_joint_velocity", "leave space out"),
         ("joint_velocity", "joint_position", r"\?space=droid_joint_velocity would fit"),
     ],
 )
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_an_address_that_contradicts_the_server_is_an_error_before_the_first_trial(
-    form: str, named: str, remedy: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    form: str,
+    named: str,
+    remedy: str,
+    command: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     server = VlaEval(payload=spec(joints={"dims": 7, "format": form}, gripper={"dims": 1, "format": "continuous_01"}))
     with server.running() as port:
@@ -193,12 +197,13 @@ def envelope(**changes: object) -> bytes:
         (lambda answer: envelope(seq=2), "garbage", "as the answer to message 3, got 'action' to message 2"),
         (
             lambda answer: envelope(payload={"__ndarray__": True, "data": b"", "dtype": "|O", "shape": [0]}),
-            "garbage", "expected an array dtype",
+            "garbage",
+            "expected an array dtype",
         ),
         (lambda answer: msgpack.packb({b"type": "action"}), "garbage", "expected text as map keys"),
         (lambda answer: bytes(5 << 20), "oversize", "at most 4194304 bytes"),
     ],
-)  # fmt: skip
+)
 def test_an_answer_that_cannot_be_executed_is_named(fault: object, kind: str, says: str) -> None:
     server = VlaEval(fault=fault)  # pyright: ignore[reportArgumentType]
     with server.running() as port, pytest.raises(PolicyError, match=says) as caught:
@@ -225,7 +230,7 @@ class Late(VlaEval):
             pass
 
 
-def test_a_start_that_the_server_refuses_is_told_with_its_reason() -> None:
+def test_a_start_that_the_server_refuses_is_reported_with_its_reason() -> None:
     with Late().running() as port, policy_at(ADDRESS.format(port)) as policy:
         policy.start()
         policy.reset(INSTRUCTION, SESSION)

@@ -1,17 +1,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from carecontact.interface.geometry import matrix_from_quat
+from carecontact.lab.validation.subject import move_to, skin_points
 from carecontact.protocol.load import load_protocol
 from carecontact.sim.simulation import Simulation
 from carecontact.world.scene import Scene, build_scene
 
 COMFORT_ARM_DEG = 52.5
-DOWN = np.array([0.0, 1.0, 0.0, 0.0])
-"""quat_wxyz of a tool whose z points to the floor."""
 
 
 @pytest.fixture(scope="session")
@@ -41,8 +38,8 @@ def pressing_state(forearm_scene: Scene, settled_state: tuple[np.ndarray, float]
     simulation = Simulation(forearm_scene)
     simulation.restore(settled_state[0], comfort_arm_deg=COMFORT_ARM_DEG)
     top = top_of_forearm(simulation)
-    move_to(simulation, top + [0, 0, 0.10], 4.0)
-    move_to(simulation, top - [0, 0, 0.02], 3.0)
+    move_to(simulation, top + [0, 0, 0.10], seconds=4.0)
+    move_to(simulation, top - [0, 0, 0.02], seconds=3.0)
     simulation.advance(500)
     return simulation.integration_state()
 
@@ -54,25 +51,8 @@ def pressing(forearm_scene: Scene, pressing_state: np.ndarray) -> Simulation:
     return simulation
 
 
-def surface(simulation: Simulation, region: str) -> np.ndarray:
-    """(N, 3) vertices of a region's shell, world."""
-    felt, data = simulation.tissue[region], simulation.data
-    return data.xpos[felt.bone] + felt.vertices(data) @ data.xmat[felt.bone].reshape(3, 3).T
-
-
 def top_of_forearm(simulation: Simulation) -> np.ndarray:
     """Surface point over the region's middle (3,)."""
-    points, middle = surface(simulation, "forearm"), simulation.data.site("region_forearm").xpos
+    points, middle = skin_points(simulation, "forearm"), simulation.data.site("region_forearm").xpos
     near = points[np.linalg.norm(points[:, :2] - middle[:2], axis=1) < 0.015]
     return np.array([middle[0], middle[1], near[:, 2].max()])
-
-
-def in_base(simulation: Simulation, position_in_world: npt.ArrayLike) -> np.ndarray:
-    base = simulation.pose_base_in_world
-    return matrix_from_quat(base[3:]).T @ (np.asarray(position_in_world) - base[:3])
-
-
-def move_to(simulation: Simulation, position_in_world: npt.ArrayLike, seconds: float) -> None:
-    """Send the TCP, pointing down, toward a point in the world and run."""
-    simulation.set_goal(np.r_[in_base(simulation, position_in_world), DOWN], seconds)
-    simulation.advance(round(seconds / simulation.model.opt.timestep))

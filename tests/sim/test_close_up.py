@@ -55,6 +55,13 @@ def arrays(made: mujoco.MjvScene) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+def dented(scene: Scene, made: mujoco.MjvScene, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices before and after the dent is drawn into a prepared scene."""
+    before, _ = arrays(made)
+    dent(scene, made, skin_shift(scene, data))
+    return before, arrays(made)[0]
+
+
 def press(scene: Scene, data: mujoco.MjData, region: str, depth_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Push the shell's middle in; returns world place and outward normal of the pressed point."""
     shell, felt = scene.regions[region].shell, Readings(scene.model, region)
@@ -84,9 +91,8 @@ def test_a_dent_moves_only_skin_near_the_pressed_shell_and_inward(
 ) -> None:
     place, outward = press(scene, data, region, DEPTH_M)
     made = drawn(data)
-    before, _ = arrays(made)
-    dent(scene, made, skin_shift(scene, data))
-    after, normals = arrays(made)
+    before, after = dented(scene, made, data)
+    _, normals = arrays(made)
     change = after - before
     moved = np.linalg.norm(change, axis=1) > 1e-5
     assert moved.any()
@@ -106,10 +112,8 @@ def test_a_dent_moves_only_skin_near_the_pressed_shell_and_inward(
 
 def test_skin_over_the_press_follows_the_shell(scene: Scene, data: mujoco.MjData, drawn: Callable) -> None:
     place, outward = press(scene, data, "forearm", DEPTH_M)
-    made = drawn(data)
-    before, _ = arrays(made)
-    dent(scene, made, skin_shift(scene, data))
-    change = arrays(made)[0] - before
+    before, after = dented(scene, drawn(data), data)
+    change = after - before
     under = np.linalg.norm(before - place, axis=1) < 0.008
     assert under.sum() >= 3
     np.testing.assert_allclose(change[under] @ outward, -DEPTH_M, atol=0.25 * DEPTH_M)
@@ -120,10 +124,8 @@ def test_a_deeper_press_draws_a_deeper_dent(scene: Scene, drawn: Callable) -> No
     for depth_m in (0.002, 0.004, 0.008):
         data = mujoco.MjData(scene.model)
         press(scene, data, "forearm", depth_m)
-        made = drawn(data)
-        before, _ = arrays(made)
-        dent(scene, made, skin_shift(scene, data))
-        deepest.append(np.linalg.norm(arrays(made)[0] - before, axis=1).max())
+        before, after = dented(scene, drawn(data), data)
+        deepest.append(np.linalg.norm(after - before, axis=1).max())
     assert deepest == sorted(deepest)
     np.testing.assert_allclose(np.array(deepest) / deepest[0], [1, 2, 4], rtol=0.02)
 
@@ -171,11 +173,10 @@ def test_skin_moves_with_its_bones() -> None:
         bone = spec.worldbody.add_body(name=name)
         bone.add_geom(size=[0.1] * 3)
         bone.add_freejoint()
-    spec.add_skin(
-        name="human", vert=SQUARE.ravel(), face=FACES.ravel(), bodyname=["one", "two"], bindpos=[0, 0, 0, 1, 0, 0],
-        bindquat=[1, 0, 0, 0] * 2, vertid=[np.array([0, 2]), np.array([1, 2, 3])],
-        vertweight=[np.array([1.0, 0.5]), np.array([1.0, 0.5, 1.0])],
-    )  # fmt: skip
+    bind = {"bodyname": ["one", "two"], "bindpos": [0, 0, 0, 1, 0, 0], "bindquat": [1, 0, 0, 0] * 2}
+    ids, weights = [[0, 2], [1, 2, 3]], [[1.0, 0.5], [1.0, 0.5, 1.0]]
+    follow = {"vertid": [np.array(row) for row in ids], "vertweight": [np.array(row) for row in weights]}
+    spec.add_skin(name="human", vert=SQUARE.ravel(), face=FACES.ravel(), **bind, **follow)
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:3], data.qpos[7:10] = [0, 0, 1], [1, 0, 0]

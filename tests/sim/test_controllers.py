@@ -39,10 +39,8 @@ def arm(name: str, *, wall_below_m: float | None = None) -> tuple[mujoco.MjModel
     if wall_below_m is not None:
         model = spec.compile()
         data = parked(model)
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.3, 0.3, 0.05], contype=0, conaffinity=1,
-            pos=data.site("tcp").xpos - [0, 0, 0.05 + wall_below_m],
-        )  # fmt: skip
+        box, pos = mujoco.mjtGeom.mjGEOM_BOX, data.site("tcp").xpos - [0, 0, 0.05 + wall_below_m]
+        spec.worldbody.add_geom(type=box, size=[0.3, 0.3, 0.05], pos=pos, contype=0, conaffinity=1)
     model = spec.compile()
     data = parked(model)
     control = JointControl(model, data, PROTOCOL, law_of(name))
@@ -100,7 +98,7 @@ def follow(
     """
     periods = steps_of_period(DROID_HZ, model.opt.timestep)
     for v in commands:
-        control.set_target(control.joint_position + DROID_STEP_RAD * v / max(1.0, float(np.abs(v).max())))
+        control.set_target(data.qpos + DROID_STEP_RAD * v / max(1.0, float(np.abs(v).max())))
         for step in range(next(periods)):
             if step % PERIOD_STEPS == 0:
                 control.refresh()

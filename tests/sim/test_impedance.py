@@ -41,13 +41,8 @@ def build(*, wall_below_m: float | None = None) -> tuple[mujoco.MjModel, mujoco.
     model = spec.compile()
     data = parked(model)
     if wall_below_m is not None:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.3, 0.3, 0.05],
-            pos=data.site("tcp").xpos - [0, 0, 0.05 + wall_below_m],
-            contype=0,
-            conaffinity=1,
-        )
+        box, pos = mujoco.mjtGeom.mjGEOM_BOX, data.site("tcp").xpos - [0, 0, 0.05 + wall_below_m]
+        spec.worldbody.add_geom(type=box, size=[0.3, 0.3, 0.05], pos=pos, contype=0, conaffinity=1)
         model = spec.compile()
         data = parked(model)
     write_target(model, data, ROBOT, tcp_pose_in_base(model, data, ROBOT))

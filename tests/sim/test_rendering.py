@@ -39,20 +39,26 @@ XML = f"""
 """
 
 
+MODEL = mujoco.MjModel.from_xml_string(XML)
+
+
 @pytest.fixture(scope="module")
-def world() -> Iterator[tuple[SceneRenderer, mujoco.MjData]]:
-    model = mujoco.MjModel.from_xml_string(XML)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+def data() -> mujoco.MjData:
+    made = mujoco.MjData(MODEL)
+    mujoco.mj_forward(MODEL, made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Iterator[SceneRenderer]:
     camera = Camera(position_m=(0, 0, 2), look_at_m=(0, 0, 0), up=(1, 0, 0), fovy_deg=50, width=64, height=48)
     other = camera.model_copy(update={"width": 40, "height": 30})
     protocol = load_protocol().model_copy(update={"cameras": {"overhead": camera, "exterior": other}})
-    with SceneRenderer(model, protocol=protocol) as renderer:
-        yield renderer, data
+    with SceneRenderer(MODEL, protocol=protocol) as renderer:
+        yield renderer
 
 
-def test_depth_is_the_distance_along_the_axis(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_depth_is_the_distance_along_the_axis(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     depth = renderer.depth(data, "overhead")
     assert depth.shape == (48, 64)
     # The box's top is 0.2 m high; it lies at the world's origin, so in the middle of the image.
@@ -61,8 +67,7 @@ def test_depth_is_the_distance_along_the_axis(world: tuple[SceneRenderer, mujoco
     assert depth[47, 63] == pytest.approx(2.0, abs=1e-3)
 
 
-def test_depth_beyond_range_is_nan(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_depth_beyond_range_is_nan(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     depth = renderer.depth(data, "exterior")
     assert depth.shape == (30, 40)
     assert np.isnan(depth[:15]).all()
@@ -70,16 +75,14 @@ def test_depth_beyond_range_is_nan(world: tuple[SceneRenderer, mujoco.MjData]) -
     assert np.isfinite(depth[-1]).all()
 
 
-def test_colours(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_colours(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     rgb = renderer.rgb(data, "overhead")
     assert rgb.dtype == np.uint8
     assert rgb[24, 32].argmax() == 0
     assert rgb[2, 2].argmax() == 1
 
 
-def test_robot_depth_shows_the_robot_alone_at_the_encoder_angles(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_robot_depth_shows_the_robot_alone_at_the_encoder_angles(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     here = renderer.robot_depth(np.zeros(LINKS), "overhead")
     seen = renderer.depth(data, "overhead")
     robot = np.isfinite(here)
@@ -91,31 +94,27 @@ def test_robot_depth_shows_the_robot_alone_at_the_encoder_angles(world: tuple[Sc
     assert (data.qpos == 0).all()
 
 
-def test_the_empty_cell_has_neither_robot_nor_person(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, _ = world
+def test_the_empty_cell_has_neither_robot_nor_person(renderer: SceneRenderer) -> None:
     cell = renderer.cell_depth(np.zeros(LINKS), "overhead")
     np.testing.assert_allclose(cell, 2.0, atol=1e-3)
     cell[:] = 0
     np.testing.assert_allclose(renderer.cell_depth(np.ones(LINKS), "overhead"), 2.0, atol=1e-3)
 
 
-def test_a_camera_that_stands_sees_the_empty_cell_once(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, _ = world
+def test_a_camera_that_stands_sees_the_empty_cell_once(renderer: SceneRenderer) -> None:
     renderer.cell_depth(np.zeros(LINKS), "exterior")
     before = renderer.renders.copy()
     renderer.cell_depth(np.ones(LINKS), "exterior")
     assert renderer.renders == before
 
 
-def test_truth_without_a_person(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_truth_without_a_person(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     seen = renderer.truth(data, "overhead")
     assert not seen.human.any()
     np.testing.assert_array_equal(seen.depth, renderer.depth(data, "overhead"))
 
 
-def test_the_camera_model_projects_a_known_point(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_the_camera_model_projects_a_known_point(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     pose, intrinsics = renderer.pose_camera_in_base(data, "overhead"), renderer.intrinsics("overhead")
     # The world's origin from a base at (0.5, 0.25) that is turned by 90 degrees.
     in_base = np.array([-0.25, 0.5, 0.0])
@@ -128,22 +127,19 @@ def test_the_camera_model_projects_a_known_point(world: tuple[SceneRenderer, muj
     np.testing.assert_allclose(ahead, [0, -1, 0], atol=1e-9)
 
 
-def test_renders_are_counted(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_renders_are_counted(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     before = renderer.renders.copy()
     renderer.depth(data, "overhead")
     renderer.robot_depth(np.zeros(LINKS), "overhead")
     assert renderer.renders - before == {"depth": 1, "robot_depth": 1}
 
 
-def test_a_closed_renderer_opens_again(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_a_closed_renderer_opens_again(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     first = renderer.rgb(data, "overhead")
     renderer.close()
     np.testing.assert_array_equal(renderer.rgb(data, "overhead"), first)
 
 
-def test_unknown_camera(world: tuple[SceneRenderer, mujoco.MjData]) -> None:
-    renderer, data = world
+def test_unknown_camera(renderer: SceneRenderer, data: mujoco.MjData) -> None:
     with pytest.raises(SceneError, match="exterior, overhead"):
         renderer.rgb(data, "ceiling")

@@ -19,11 +19,12 @@ import pytest
 from carecontact.episode import randomization as stored
 from carecontact.interface.regions import STANDARD_REGIONS
 from carecontact.interface.robot import PANDA
+from carecontact.lab.validation.subject import DOWN, in_base, skin_points
 from carecontact.protocol.load import load_protocol
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.system import CACHE_VARIABLE
 from carecontact.world.scene import Scene, build_scene
-from tests.sim.conftest import COMFORT_ARM_DEG, DOWN, in_base, surface
+from tests.sim.conftest import COMFORT_ARM_DEG
 
 TRIAL_S, NEW_TARGET_S, PART_STEPS = 5.0, 0.5, 50
 BELOW_SKIN_M, ABOVE_SKIN_M, SIDE_M = 0.040, 0.060, 0.080
@@ -47,16 +48,17 @@ def hammer(
 ) -> Hammering:
     """One trial of random targets at the highest stiffness."""
     simulation.restore(start, comfort_arm_deg=COMFORT_ARM_DEG)
-    simulation.set_stiffness(*(high for _, high in _stiffness_bounds(simulation)))
+    impedance = simulation.protocol.impedance
+    simulation.set_stiffness(impedance.translational_bounds[1], impedance.rotational_bounds[1])
     model, data = simulation.model, simulation.data
-    skin = surface(simulation, region)
+    skin = skin_points(simulation, region)
     middle = data.site(f"region_{region}").xpos
     top = skin[np.linalg.norm(skin[:, :2] - middle[:2], axis=1) < 0.03][:, 2].max()
     low = np.array([*(middle[:2] - SIDE_M), top - BELOW_SKIN_M])
     high = np.array([*(middle[:2] + SIDE_M), top + ABOVE_SKIN_M])
     turned = FLANK if flank else DOWN
     # From the parked pose to over the box, then the trial proper.
-    simulation.set_goal(np.r_[in_base(simulation, [middle[0], middle[1], top + 0.10]), turned], 1.0)
+    simulation.set_goal(np.r_[in_base(simulation, np.array([*middle[:2], top + 0.10])), turned], 1.0)
     simulation.advance(1500)
     found, speed, area, depth = Hammering(), 0.0, 0.0, 0.0
     mass = _heaviest_kg(simulation)
@@ -75,7 +77,7 @@ def hammer(
         assert np.isfinite(data.plugin_state).all()
         assert simulation.solver_warnings() == []
     stiffest = max(_stiffness_n_m(simulation, name, area, depth) for name in simulation.tissue)
-    clamp = np.sqrt(3) * simulation.protocol.impedance.force_clamp_n
+    clamp = np.sqrt(3) * impedance.force_clamp_n
     found.bound_n = float(clamp + speed * np.sqrt(stiffest * mass))
     return found
 
@@ -98,11 +100,6 @@ def _stiffness_n_m(simulation: Simulation, region: str, area_m2: float, depth_m:
     assert t.contact_n_m3 is not None
     wide = np.sqrt(area_m2 / np.pi) + t.coupling_length_m
     return float(np.pi * wide**2 / (1 / anchors + 1 / t.contact_n_m3))
-
-
-def _stiffness_bounds(simulation: Simulation) -> list[tuple[float, float]]:
-    impedance = simulation.protocol.impedance
-    return [impedance.translational_bounds, impedance.rotational_bounds]
 
 
 def hammered(region: str, count: int, *, flank: bool = False) -> list[Hammering]:

@@ -49,9 +49,10 @@ MUTANTS_OF_THE_CONTACT = {
 }  # fmt: skip
 """The ledger of ``energy`` finds them."""
 OLD_BRAKE = (
-    "entry.c", "c->drag[k] = falls * c->bristle[k] / BRISTLE;",
+    "entry.c",
+    "c->drag[k] = falls * c->bristle[k] / BRISTLE;",
     "c->drag[k] = dot(way, way) > 1e-18 ? falls * way[k] / sqrt(dot(way, way)) : 0;",
-)  # fmt: skip
+)
 """Full against every step's way, also where the tool stands: it turns round in every step there."""
 CODE = """
 import sys
@@ -72,7 +73,7 @@ if check == "turning":
     measures = done.measures("abdomen", wanted=15.0, friction=protocol.person.tissue["abdomen"].friction)
     print(*(m.name for m in measures if m.met is False), sep="\\n")
 elif check in protocol.regions:
-    measures = ledger.measures(Subject(protocol), check, quick=False)
+    measures = ledger.ledger_measures(Subject(protocol), check, quick=False)
     print(*(m.name for m in measures if m.decides and m.met is False), sep="\\n")
 else:
     for result in validate(protocol, quick=True, checks=[check]).results:
@@ -102,11 +103,17 @@ def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     here, mujocos = binary.platform_here(), Path(mujoco.__file__).parent
     assert COMPILER is not None
     subprocess.run(
-        [COMPILER, *compile_kernel.arguments(compile_kernel.mujoco_headers(), here, FLAGS),
-         str(mujocos / f"libmujoco.so.{binary.MUJOCO}"), f"-Wl,-rpath,{mujocos}", "-lm",
-         "-o", str(folder / binary.PLATFORMS[here].library)],
+        [
+            COMPILER,
+            *compile_kernel.arguments(compile_kernel.mujoco_headers(), here, FLAGS),
+            str(mujocos / f"libmujoco.so.{binary.MUJOCO}"),
+            f"-Wl,-rpath,{mujocos}",
+            "-lm",
+            "-o",
+            str(folder / binary.PLATFORMS[here].library),
+        ],
         check=True,
-    )  # fmt: skip
+    )
 
 
 def planted(source: Path, right: str, wrong: str) -> None:
@@ -116,20 +123,20 @@ def planted(source: Path, right: str, wrong: str) -> None:
 
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_wrong_formula_is_found_by_name(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file, right, wrong, check, told = MUTANTS[name]
+    file, right, wrong, check, message = MUTANTS[name]
     planted(folder / "c" / file, right, wrong)
     compiled(folder, monkeypatch)
-    assert any(told in line for line in found_by(folder, check))
+    assert any(message in line for line in found_by(folder, check))
 
 
 @pytest.mark.parametrize("name", MUTANTS_OF_THE_CONTACT)
 def test_a_wrong_formula_of_the_contact_is_found_in_the_ledger(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file, right, wrong, region, told = MUTANTS_OF_THE_CONTACT[name]
+    file, right, wrong, region, message = MUTANTS_OF_THE_CONTACT[name]
     planted(folder / "c" / file, right, wrong)
     compiled(folder, monkeypatch)
-    assert any(told in line for line in found_by(folder, region))
+    assert any(message in line for line in found_by(folder, region))
 
 
 def test_a_brake_that_does_not_hold_is_found_where_the_tool_turns_round(

@@ -27,9 +27,16 @@ ROOT = Path(__file__).parents[2]
 KERNEL_TESTS = ("tests/tissue",)
 """What exercises the C."""
 SANITIZED = (
-    "-std=c17", "-O1", "-g", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-fno-omit-frame-pointer",
-    "-fsanitize=address,undefined", "-fno-sanitize-recover=all",
-)  # fmt: skip
+    "-std=c17",
+    "-O1",
+    "-g",
+    "-fPIC",
+    "-fvisibility=hidden",
+    "-ffp-contract=off",
+    "-fno-omit-frame-pointer",
+    "-fsanitize=address,undefined",
+    "-fno-sanitize-recover=all",
+)
 OPTIONS = {"UBSAN_OPTIONS": "print_stacktrace=1"}
 NO_LEAKS = {**OPTIONS, "ASAN_OPTIONS": "detect_leaks=0"}
 """Python does not free all that it allocates; steps_a_model.c looks for leaks without it."""
@@ -92,9 +99,7 @@ def under_sanitizers(
 
 
 def test_the_tests_of_the_kernel_pass(runtime: str, package: Path) -> None:
-    where = (
-        "from carecontact.tissue import binary_lookup as found, plugin as library; library.load(); print(found.file())"
-    )
+    where = "from carecontact.tissue import binary_lookup as b, plugin; plugin.load_plugins(); print(b.binary_file())"
     loaded = under_sanitizers("-c", where, runtime=runtime, package=package)
     assert loaded.stdout.startswith(str(package)), "the sanitized library is the one that is tested"
     done = under_sanitizers(
@@ -108,11 +113,11 @@ THIN = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 1e-5], [
 
 
 @pytest.mark.parametrize(
-    ("vertices", "told"),
+    ("vertices", "message"),
     [(None, "1 plugin instances"), (corners_of_a_box(0.02, 0.02, 0.02), "1 plugin instances"), (THIN, "init failed")],
     ids=["ball", "hull", "thin hull"],
 )
-def test_the_plugin_frees_what_it_allocates(vertices: Array | None, told: str, runtime: str, tmp_path: Path) -> None:
+def test_the_plugin_frees_what_it_allocates(vertices: Array | None, message: str, runtime: str, tmp_path: Path) -> None:
     model = tmp_path / "model.xml"  # an mjb file names a plugin by the order in which a process registered it
     plugin.load_plugins()
     model.write_text(model_xml(tissue(), sheet(half_m=0.02), vertices=vertices))
@@ -123,17 +128,17 @@ def test_the_plugin_frees_what_it_allocates(vertices: Array | None, told: str, r
         [str(program), str(model), "200"], env={**os.environ, **OPTIONS}, capture_output=True, text=True, check=False
     )
     assert "Sanitizer" not in done.stderr, done.stderr
-    assert told in done.stdout + done.stderr
+    assert message in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         ("char* p = calloc(index, 1); free(p); return *p;", "heap-use-after-free"),
         ("return 2147483640 + index;", "signed integer overflow"),
     ],
 )
-def test_a_planted_fault_is_seen(fault: str, told: str, runtime: str, tmp_path: Path) -> None:
+def test_a_planted_fault_is_seen(fault: str, message: str, runtime: str, tmp_path: Path) -> None:
     source, made = tmp_path / "planted.c", tmp_path / "planted.so"
     source.write_text(
         f'#include <stdlib.h>\n__attribute__((visibility("default"))) int planted(int index) {{ {fault} }}\n'
@@ -142,4 +147,4 @@ def test_a_planted_fault_is_seen(fault: str, told: str, runtime: str, tmp_path: 
     call = f"import ctypes; ctypes.CDLL({str(made)!r}).planted(8)"
     done = under_sanitizers("-c", call, runtime=runtime, check=False)
     assert done.returncode != 0
-    assert told in done.stderr
+    assert message in done.stderr

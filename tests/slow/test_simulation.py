@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from carecontact.audit.run import audit
-from carecontact.episode.randomization import comfort_arm_deg
 from carecontact.human.library import body_names
 from carecontact.lab.validation.run import CHECKS, Validation, validate
 from carecontact.policies.registry import POLICIES, role_of
@@ -18,6 +17,7 @@ from carecontact.scoring import TrialScore, score_recording
 from carecontact.serving.conversation import PolicySetup
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.simulation import Simulation
+from carecontact.world.randomization import posture_of
 from carecontact.world.scene import build_scene
 from tests.lab.validation.defects import (
     half_stiff,
@@ -75,7 +75,7 @@ def test_wrist_moves_in_two_of_three_seeds(pushes: list[Recording]) -> None:
 def test_locked_arm_stays(pushes: list[Recording], index: int) -> None:
     recording = pushes[index]
     simulation = Simulation(build_scene(load_protocol(), target="forearm", skin=False))
-    simulation.settle(comfort_arm_deg(simulation.protocol, SEEDS[index]))
+    simulation.settle(posture_of(simulation.protocol, SEEDS[index], "", 0).comfort_arm_deg)
     model = simulation.model
     for name in simulation.joint_names:
         if name.startswith("right_"):

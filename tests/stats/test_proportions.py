@@ -165,7 +165,7 @@ def test_paired_near_the_textbook_formula() -> None:
     assert found == pytest.approx(normal, rel=0.03)
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(n=st.integers(0, 80), discordance=st.floats(0, 1), alpha=st.sampled_from([0.05, 0.01]))
 def test_more_pairs_detect_more(n: int, discordance: float, alpha: float) -> None:
     less = paired_detectable_difference(n=n, discordance=discordance, alpha=alpha).difference

@@ -13,16 +13,14 @@ from carecontact.tissue.plugin import LOCK, Mesh, Readings, add_region
 
 Array = npt.NDArray[np.float64]
 HEAVY_KG = 1e6
-"""A tool of this mass moves as it was told to, whatever pushes it."""
+"""A tool of this mass follows its prescribed motion, whatever pushes it."""
 
 
 def tissue(**fields: float) -> Tissue:
-    values = {
-        "a_n_m3": 1e6, "b_n_m4": 0.0, "c_n_m5": 0.0, "damping_ns_m3": 1e4, "coupling_length_m": 0.0,
-        "membrane_n_m": 0.0, "contact_n_m3": 2e8, "areal_mass_kg_m2": 12.0, "spacing_m": 0.005,
-        "coarse_spacing_m": 0.005, "thickness_m": 0.03, "measured_depth_m": 0.01, "friction": 0.5, **fields,
-    }  # fmt: skip
-    return Tissue(source="made for a test", **values)  # pyright: ignore[reportArgumentType]
+    values = {"a_n_m3": 1e6, "b_n_m4": 0.0, "c_n_m5": 0.0, "damping_ns_m3": 1e4, "coupling_length_m": 0.0}
+    values |= {"membrane_n_m": 0.0, "contact_n_m3": 2e8, "areal_mass_kg_m2": 12.0, "friction": 0.5}
+    values |= {"spacing_m": 0.005, "coarse_spacing_m": 0.005, "thickness_m": 0.03, "measured_depth_m": 0.01}
+    return Tissue(source="made for a test", **values | fields)  # pyright: ignore[reportArgumentType]
 
 
 def sheet(*, half_m: float = 0.05, spacing_m: float = 0.005) -> Mesh:
@@ -42,12 +40,11 @@ def sheet(*, half_m: float = 0.05, spacing_m: float = 0.005) -> Mesh:
     flat, corners = places.reshape(-1, 3), np.array(triangles)
     edge = flat[corners]
     area = np.linalg.norm(np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0]), axis=1) / 2
-    middle = edge.mean(1)
-    return Mesh(
-        places=flat, inward=np.tile([0.0, 0.0, -1.0], (len(flat), 1)), along=np.array([1.0, 0.0, 0.0]),
-        triangles=corners, areas=np.bincount(corners.ravel(), np.repeat(area / 3, 3), minlength=len(flat)),
-        cells=2 * (middle[:, 0] > 0) + (middle[:, 1] > 0).astype(np.int64),
-    )  # fmt: skip
+    middle, areas = edge.mean(1), np.zeros(len(flat))
+    np.add.at(areas, corners, area[:, None] / 3)
+    cells = 2 * (middle[:, 0] > 0) + (middle[:, 1] > 0).astype(np.int64)
+    inward, along = np.tile([0.0, 0.0, -1.0], (len(flat), 1)), np.array([1.0, 0.0, 0.0])
+    return Mesh(places=flat, inward=inward, along=along, triangles=corners, areas=areas, cells=cells)
 
 
 class Sheet:
@@ -95,16 +92,24 @@ class Sheet:
         if give_m3_n:
             spec.nuser_geom, tool.first_geom().userdata = 1, [give_m3_n]
         add_region(
-            spec, name="sheet", bone=bone, mesh=mesh, tissue=law, tools="tool", ledger=ledger, layer_m=layer_m,
-            entry_m=entry_m, lock=lock,
-        )  # fmt: skip
+            spec,
+            name="sheet",
+            bone=bone,
+            mesh=mesh,
+            tissue=law,
+            tools="tool",
+            ledger=ledger,
+            layer_m=layer_m,
+            entry_m=entry_m,
+            lock=lock,
+        )
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.felt = Readings(self.model, "sheet")
         self._slides = slice(self.model.nq - 2, self.model.nq)
 
     def move(self, path: Array) -> npt.NDArray[np.void]:
-        """(n,) rows of ``kernel.readings.ROW`` while the tool is at (n, 2) places x, z [m], one in each step."""
+        """(n,) rows of ``tissue.plugin.ROW`` while the tool is at (n, 2) places x, z [m], one in each step."""
         rows = []
         before = path[0]
         for place in path:
@@ -163,7 +168,8 @@ def model_xml(law: Tissue, mesh: Mesh, *, vertices: Array | None = None) -> str:
     return f"""
 <mujoco>
   <extension><plugin plugin="carecontact.tissue"><instance name="sheet">
-    <config key="key" value="sheet"/><config key="tools" value="ball"/><config key="cells" value="{mesh.cell_count}"/>
+    <config key="key" value="sheet"/><config key="tools" value="ball"/>
+    <config key="cells" value="{mesh.cells.max(initial=-1) + 1}"/>
     {config}
   </instance></plugin></extension>
   <custom>{numerics}</custom>

@@ -56,7 +56,7 @@ def test_a_mark_is_found_among_other_bytes(tmp_path: Path) -> None:
     assert binary.mark_in(file) is None
 
 
-def test_a_binary_that_is_cut_off_is_told_before_it_is_loaded(elsewhere: Path) -> None:
+def test_a_binary_that_is_cut_off_is_reported_before_it_is_loaded(elsewhere: Path) -> None:
     """Its mark may still be there, and loading it would end the process."""
     here = binary.platform_here()
     file = binary.library_file(here)
@@ -99,7 +99,7 @@ def test_the_hash_is_known_without_loading_mujoco_or_the_binary() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_an_edited_source_is_told_with_the_command_that_compiles_it(elsewhere: Path) -> None:
+def test_an_edited_source_is_reported_with_the_command_that_compiles_it(elsewhere: Path) -> None:
     assert binary_lookup.binary_file().parent == elsewhere
     with (elsewhere / "c" / "plugin.c").open("a") as file:
         file.write("// edited\n")
@@ -122,15 +122,17 @@ def test_a_platform_without_a_binary_is_named(monkeypatch: pytest.MonkeyPatch) -
         binary_lookup.binary_file()
 
 
-@pytest.mark.parametrize(("installed", "told"), [({"mujoco": "4.1.0"}, r"4\.1\.0"), ({}, "not installed")])
-def test_another_mujoco_is_named(installed: dict[str, str], told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("installed", "message"), [({"mujoco": "4.1.0"}, r"4\.1\.0"), ({}, "not installed")])
+def test_another_mujoco_is_named(installed: dict[str, str], message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         if name not in installed:
             raise metadata.PackageNotFoundError(name)
         return installed[name]
 
     monkeypatch.setattr(binary_lookup.metadata, "version", version)
-    with pytest.raises(DependencyError, match=rf"needs MuJoCo 4\.0\.0, and it is {told}; run .*pip install mujoco==4"):
+    with pytest.raises(
+        DependencyError, match=rf"needs MuJoCo 4\.0\.0, and it is {message}; run .*pip install mujoco==4"
+    ):
         binary_lookup.binary_sha256()
 
 
@@ -152,7 +154,7 @@ def test_a_model_that_names_the_plugin_steps() -> None:
     assert Readings(model, "sheet").last(data, 1)["force_n"][0, 2] == pytest.approx(-0.981, rel=0.05)
 
 
-def test_a_library_that_needs_another_mujoco_is_told_in_one_line(
+def test_a_library_that_needs_another_mujoco_is_reported_in_one_line(
     elsewhere: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = binary_lookup.binary_file()
@@ -163,7 +165,7 @@ def test_a_library_that_needs_another_mujoco_is_told_in_one_line(
         plugin._load.__wrapped__()
 
 
-def test_another_plugin_of_the_name_is_told(tmp_path: Path) -> None:
+def test_another_plugin_of_the_name_is_reported(tmp_path: Path) -> None:
     copy = tmp_path / "copy.so"
     shutil.copy(binary_lookup.binary_file(), copy)
     code = (

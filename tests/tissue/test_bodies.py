@@ -285,7 +285,7 @@ CONTACT = r'(/contact" )size="\d+" data="[^"]*"'
 
 
 @pytest.mark.parametrize(
-    ("pattern", "replacement", "told"),
+    ("pattern", "replacement", "message"),
     [
         ("<custom>", '<option integrator="RK4"/><custom>', "take another integrator than RK4"),
         (r'(/edges" size="\d+" data=")\S+', r"\g<1>81.0", "edges or triangles of sheet name vertices or cells outside"),
@@ -300,13 +300,13 @@ CONTACT = r'(/contact" )size="\d+" data="[^"]*"'
         (r'(/options" size="\d+" data="(\S+ ){2})\S+', r"\g<1>0.5", "allows the solver no sweep"),
     ],
 )
-def test_a_model_that_the_step_cannot_follow_is_refused(pattern: str, replacement: str, told: str) -> None:
+def test_a_model_that_the_step_cannot_follow_is_refused(pattern: str, replacement: str, message: str) -> None:
     plugin.load_plugins()
     text, count = re.subn(pattern, replacement, model_xml(tissue(), sheet(half_m=0.02)), count=1)
     assert count == 1
     with pytest.raises(ValueError, match=r"plugin->init failed") as refusal:
         mujoco.MjModel.from_xml_string(text)
-    assert told in str(refusal.value)
+    assert message in str(refusal.value)
 
 
 @pytest.mark.parametrize(

@@ -23,13 +23,9 @@ DISC: dict[str, Any] = {"bottom_m": 0.02, "type": CYLINDER, "size": [0.011, 0.02
 
 
 def belly(**fields: float) -> Tissue:
-    return tissue(
-        **{
-            "a_n_m3": 2e5, "coupling_length_m": 0.0078, "membrane_n_m": 240.0, "contact_n_m3": 5e7,
-            # So thick that nothing here locks.
-            "damping_ns_m3": 9e3, "thickness_m": 0.1, **fields,
-        }
-    )  # fmt: skip
+    # So thick that nothing here locks.
+    values = {"a_n_m3": 2e5, "coupling_length_m": 0.0078, "membrane_n_m": 240.0, "thickness_m": 0.1}
+    return tissue(**values | {"contact_n_m3": 5e7, "damping_ns_m3": 9e3} | fields)
 
 
 def dragged(tool: dict[str, Any], press_n: float, speed_m_s: float, *, entry_m: float) -> tuple[float, float]:
@@ -38,9 +34,7 @@ def dragged(tool: dict[str, Any], press_n: float, speed_m_s: float, *, entry_m: 
     Returns the most energy made until any instant and what is missing at the end, both over what was put in. The ledger
     is that of ``carecontact.lab.validation.energy``.
     """
-    made = Sheet(
-        belly(), sheet(half_m=0.06), mass_kg=1.0, ledger=True, layer_m=LAYER_M, entry_m=entry_m, **tool
-    )  # fmt: skip
+    made = Sheet(belly(), sheet(half_m=0.06), mass_kg=1.0, ledger=True, layer_m=LAYER_M, entry_m=entry_m, **tool)
     data, dt = made.data, made.model.opt.timestep
     data.qpos[:] = [-0.03, 0.001]
     work, lost, pushed, balance = 0.0, 0.0, np.zeros(2), []
@@ -163,10 +157,12 @@ def test_a_vertex_that_is_not_a_number_marks_every_step_from_then_on(entry_m: fl
 
 @pytest.mark.parametrize(
     ("numeric", "number", "value"),
-    [("law", 3, 1e300), ("law", 8, np.nan), ("law", 10, np.inf), ("contact", 0, -0.001), ("contact", 1, np.nan),
-     ("options", 2, 0.0)],
+    [
+        *(("law", 3, 1e300), ("law", 8, np.nan), ("law", 10, np.inf)),
+        *(("contact", 0, -0.001), ("contact", 1, np.nan), ("options", 2, 0.0)),
+    ],
     ids=["overflow", "friction nan", "thickness inf", "layer below 0", "entry nan", "no sweep"],
-)  # fmt: skip
+)
 def test_numbers_that_no_step_can_be_made_with_mark_it(numeric: str, number: int, value: float) -> None:
     made = Sheet(belly(), sheet(), layer_m=LAYER_M, entry_m=ENTRY_M, **CAP)
     made.hold(0.004, steps=5)

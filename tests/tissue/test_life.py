@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -27,7 +28,7 @@ MOVES = MotionScript(moves=(Move(time_s=0.5, duration_s=1.0, lift_rad=0.0, shift
 RADIUS_M, DEPTH_M = 0.04, 0.001
 
 
-def breathing_sheet() -> tuple[mujoco.MjModel, mujoco.MjData]:
+def breathing_sheet(*, half_m: float = 0.05, spacing_m: float = 0.0025) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A sheet on a breathing wall, which the fixed disc is DEPTH_M deep in at the end of a breath out."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -35,15 +36,13 @@ def breathing_sheet() -> tuple[mujoco.MjModel, mujoco.MjData]:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     wall = spec.worldbody.add_body(name="wall", mass=0.001, explicitinertial=True, inertia=[1e-5] * 3)
     wall.add_joint(name="wall", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], armature=2.0)
-    servo = spec.add_actuator(
-        name="breathes_abdomen", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="wall",
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-    )  # fmt: skip
+    joint, affine = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtBias.mjBIAS_AFFINE
+    servo = spec.add_actuator(name="breathes_abdomen", trntype=joint, target="wall", biastype=affine)
     servo.gainprm[0], servo.biasprm[:3] = 1e5, [0, -1e5, -900]
     tool = spec.worldbody.add_body(name="tool", pos=[0, 0, 0.02 - DEPTH_M])
     tool.add_geom(type=CYLINDER, size=[RADIUS_M, 0.02, 0], contype=1, conaffinity=0)
     law = tissue(a_n_m3=1e6, contact_n_m3=2e8, damping_ns_m3=100.0)
-    mesh = sheet(half_m=0.06, spacing_m=0.0025)
+    mesh = sheet(half_m=half_m, spacing_m=spacing_m)
     add_region(spec, name="sheet", bone=wall, mesh=mesh, tissue=law, tools="tool", layer_m=0.0, entry_m=0.0)
     add_life(spec, spec.worldbody.add_body(name="carrier"))
     model = spec.compile()
@@ -58,10 +57,8 @@ def arm() -> tuple[mujoco.MjModel, mujoco.MjData]:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     made = spec.worldbody.add_body(name="human_right_forearm")
     made.add_geom(type=CYLINDER, size=[0.03, 0.15, 0], pos=[0.3, 0, 0], quat=[0.7071, 0, 0.7071, 0], mass=2.0)
-    made.add_joint(
-        name=ABDUCTION, axis=[0, 0, 1], stiffness=[1.5, 0, 0], damping=[0.5, 0, 0], range=[-1, 1],
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-    )  # fmt: skip
+    passive = {"stiffness": [1.5, 0, 0], "damping": [0.5, 0, 0]}
+    made.add_joint(name=ABDUCTION, axis=[0, 0, 1], range=[-1, 1], limited=mujoco.mjtLimited.mjLIMITED_TRUE, **passive)
     affine = mujoco.mjtGain.mjGAIN_AFFINE
     for kind, gain, numbers in (("holds", affine, [0, -200, -15]), ("turns", mujoco.mjtGain.mjGAIN_FIXED, [1, 0, 0])):
         made = spec.add_actuator(
@@ -71,10 +68,9 @@ def arm() -> tuple[mujoco.MjModel, mujoco.MjData]:
     finger = spec.worldbody.add_body(name="finger", pos=[0.4, 0.1, 0.0])
     finger.add_joint(name="finger", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
     finger.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=0.2)
-    spec.add_sensor(
-        name="net_right_forearm", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_BODY,
-        objname="finger", reftype=mujoco.mjtObj.mjOBJ_BODY, refname="human_right_forearm", intprm=[1 << 1, 3, 1],
-    )  # fmt: skip
+    body, contact = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtSensor.mjSENS_CONTACT
+    pair = {"objtype": body, "objname": "finger", "reftype": body, "refname": "human_right_forearm"}
+    spec.add_sensor(name="net_right_forearm", type=contact, intprm=[1 << 1, 3, 1], **pair)
     add_life(spec, spec.worldbody.add_body(name="carrier"))
     model = spec.compile()
     for joint in ("right_upper_arm_flexion", "right_upper_arm_rotation", "right_forearm_flexion"):
@@ -94,7 +90,7 @@ def run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> npt.NDArr
 
 
 def test_a_wall_that_is_not_awake_stays_where_it_is() -> None:
-    model, data = breathing_sheet()
+    model, data = breathing_sheet(spacing_m=0.005)
     mujoco.mj_step(model, data, 500)
     # Only the disc pushes on it, with nearly 5 N.
     assert data.qpos[0] == pytest.approx(-4.7 / 1e5, rel=0.1)
@@ -105,12 +101,13 @@ def test_the_force_of_a_fixed_tool_swings_with_the_breath_as_the_law_says() -> N
     wall."""
     model, data = breathing_sheet()
     life, felt = Life(model), Readings(model, "sheet")
-    life.wake(data, BREATH)
+    fast = replace(BREATH, breath_hz=0.5)
+    life.wake(data, fast)
     mujoco.mj_step(model, data, 250)
     out, force = [], []
-    for _ in range(1700):
+    for _ in range(1020):
         mujoco.mj_step(model, data)
-        height, _ = breath(BREATH, data.time)
+        height, _ = breath(fast, data.time)
         assert life.breath_m(data)[0] == data.actuator_length[0]
         out.append([0.004 * height, data.qpos[0]])
         force.append(-felt.last(data, 1)["force_n"][0, 2])
@@ -184,16 +181,16 @@ def test_a_withdrawal_ends_the_change_of_posture_and_none_begins_meanwhile() -> 
 
 
 @pytest.mark.parametrize(
-    ("doings", "stiffness_nm_rad"),
+    ("script", "stiffness_nm_rad"),
     [(MotionScript(), 1.5), (MotionScript(tone=0.15), 1.5 + 0.15 * 200.0), (MotionScript(help=0.8), 0.2 * 1.5)],
     ids=["passive", "holds", "helps"],
 )
 def test_a_push_turns_the_joint_as_far_as_the_manner_s_stiffness_says(
-    doings: MotionScript, stiffness_nm_rad: float
+    script: MotionScript, stiffness_nm_rad: float
 ) -> None:
     model, data = arm()
     data.joint("finger").qpos[:] = 1.0
-    Life(model).wake(data, doings)
+    Life(model).wake(data, script)
     data.joint(ABDUCTION).qfrc_applied[:] = 0.05
     run(model, data, 12.0)
     assert data.joint(ABDUCTION).qpos[0] == pytest.approx(0.05 / stiffness_nm_rad, rel=0.01)
@@ -246,24 +243,24 @@ def test_the_arm_is_withdrawn_after_more_than_a_force_for_a_time(newton: float, 
 @pytest.mark.parametrize("when_s", [0.3, 0.9])
 def test_a_state_restored_in_the_middle_goes_on_bit_for_bit(when_s: float) -> None:
     """In mid-breath, and in the middle of a movement and of a withdrawal that is about to begin."""
-    for world, doings in (
-        (breathing_sheet, BREATH),
+    for world, script in (
+        (partial(breathing_sheet, spacing_m=0.01), BREATH),
         (arm, replace(MOVES, pull=Pull(force_n=1.0, for_s=0.05, delay_s=0.6, duration_s=0.5, shift_rad=-SHIFT))),
     ):
         model, data = world()
-        Life(model).wake(data, doings)
+        Life(model).wake(data, script)
         if world is arm:
             data.joint("finger").qpos[:], data.joint("finger").qfrc_applied[:] = -0.05, -3.0
         first = run(model, data, when_s)[-1]
-        rest = run(model, data, 1.0)
+        rest = run(model, data, 1.0)[-1]
         if world is arm:
             assert (Life(model).pulls_s(data) > 0).any()
         other = mujoco.MjData(model)
         mujoco.mj_setState(model, other, first, STATE)
-        np.testing.assert_array_equal(run(model, other, 1.0), rest)
+        np.testing.assert_array_equal(run(model, other, 1.0)[-1], rest)
 
 
-def test_a_model_without_it_is_told() -> None:
+def test_a_model_without_it_is_refused() -> None:
     with pytest.raises(SceneError, match="does nothing by itself"):
         Life(mujoco.MjSpec().compile())
 
@@ -282,7 +279,7 @@ def test_the_state_of_a_person_who_is_awake_needs_a_world_that_knows_what_it_doe
     fresh, other = arm()
     Life(fresh).check_known(other)
     mujoco.mj_setState(fresh, other, state, STATE)
-    with pytest.raises(SceneError, match="nobody woke the person of this world"):
+    with pytest.raises(SceneError, match="the person of this world never woke"):
         Life(fresh).check_known(other)
     Life(fresh).wake(other, MOVES)
     mujoco.mj_setState(fresh, other, state, STATE)
@@ -290,7 +287,7 @@ def test_the_state_of_a_person_who_is_awake_needs_a_world_that_knows_what_it_doe
 
 
 @pytest.mark.parametrize(
-    ("doings", "told"),
+    ("script", "message"),
     [
         (replace(BREATH, breath_hz=np.nan), "breath: every number must be finite"),
         (replace(BREATH, breath_hz=50.0), r"frequency_hz: .* both in 0.05 to 1, got \[50, 50\]"),
@@ -307,10 +304,10 @@ def test_the_state_of_a_person_who_is_awake_needs_a_world_that_knows_what_it_doe
         (MotionScript(pull=Pull(force_n=1e4, for_s=0.05, delay_s=0.1, duration_s=0.5, shift_rad=SHIFT)), "force_n: "),
     ],
 )
-def test_doings_that_no_protocol_could_ask_for_wake_nobody(doings: MotionScript, told: str) -> None:
+def test_a_script_that_no_protocol_could_ask_for_is_refused(script: MotionScript, message: str) -> None:
     model, data = arm()
-    with pytest.raises(SceneError, match=told):
-        Life(model).wake(data, doings)
+    with pytest.raises(SceneError, match=message):
+        Life(model).wake(data, script)
     assert not data.plugin_state.any()
 
 

@@ -70,9 +70,11 @@ SIX = Robot(
 )
 """Its parked tool points down, with the hand's x along the base's as the shipped robot has it."""
 SERVOS = JointImpedance(
-    stiffness_nm_rad=(400.0,) * 6, damping_nms_rad=(80.0,) * 6, torque_limit_nm=(90.0,) * 6,
+    stiffness_nm_rad=(400.0,) * 6,
+    damping_nms_rad=(80.0,) * 6,
+    torque_limit_nm=(90.0,) * 6,
     velocity_limit_rad_s=(2.0,) * 6,
-)  # fmt: skip
+)
 COMFORT_ARM_DEG, REGION = 52.5, "forearm"
 OVERTRAVEL_M = 0.015
 

@@ -30,10 +30,10 @@ from carecontact.world.randomization import (
     WIDEST_M,
     Place,
     draw_motion_script,
-    draw_place,
     draw_shifts,
     move_person,
     place_in_model,
+    place_of,
 )
 from carecontact.world.room import Light, draw_light, set_light
 
@@ -67,9 +67,7 @@ def test_person_and_board_move_as_one_and_the_bed_stays() -> None:
     before, after = placed(Place()), placed(place)
     turn, shoulder = np.radians(4.0), np.array(RIGHT_SHOULDER_M)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    for of in (
-        lambda d: d.body("pelvis").xpos, lambda d: d.body("hand").xpos, lambda d: d.geom("board").xpos
-    ):  # fmt: skip
+    for of in (lambda d: d.body("pelvis").xpos, lambda d: d.body("hand").xpos, lambda d: d.geom("board").xpos):
         expected = shoulder + rotation @ (of(before)[:2] - shoulder) + [0.03, -0.02]
         np.testing.assert_allclose(of(after)[:2], expected, atol=1e-12)
         assert of(after)[2] == pytest.approx(of(before)[2])
@@ -87,16 +85,20 @@ def test_a_turn_is_about_the_right_shoulder() -> None:
     np.testing.assert_allclose(model.qpos0[:2], RIGHT_SHOULDER_M, atol=1e-15)
 
 
+def drawn_place(seed: int, variation: Variation) -> Place:
+    return place_of(np.random.default_rng(seed).uniform(-1.0, 1.0, 3).tolist(), variation)
+
+
 def test_draws_fill_the_ranges_and_none_takes_anothers_number() -> None:
     wide = Variation(place_along_m=0.04, place_across_m=0.03, place_yaw_deg=5.0)
-    drawn = [draw_place(np.random.default_rng(seed), wide) for seed in range(300)]
+    drawn = [drawn_place(seed, wide) for seed in range(300)]
     for name, most in (("along_m", 0.04), ("across_m", 0.03), ("yaw_deg", 5.0)):
         values = np.array([getattr(p, name) for p in drawn])
         assert np.abs(values).max() <= most
         assert values.max() > 0.95 * most
         assert values.min() < -0.95 * most
         assert abs(values.mean()) < 0.15 * most
-    turned_only = [draw_place(np.random.default_rng(seed), Variation(place_yaw_deg=2.5)) for seed in range(3)]
+    turned_only = [drawn_place(seed, Variation(place_yaw_deg=2.5)) for seed in range(3)]
     for full, half in zip(drawn, turned_only, strict=False):
         assert (half.along_m, half.across_m) == (0.0, 0.0)
         assert half.yaw_deg == pytest.approx(full.yaw_deg / 2)
@@ -144,8 +146,10 @@ def test_each_doing_has_a_stream_of_its_own() -> None:
     whole = Alive(breathing=Breathing(), repositioning=WANTED, withdrawal=Withdrawal())
     everything = draw_motion_script(rngs(5), whole, until_s=UNTIL_S, wrist_radius_m=0.5)
     for field, names in (
-        ("breathing", ("breath_hz", "phase", "breath_m")), ("repositioning", ("moves",)), ("withdrawal", ("pull",))
-    ):  # fmt: skip
+        ("breathing", ("breath_hz", "phase", "breath_m")),
+        ("repositioning", ("moves",)),
+        ("withdrawal", ("pull",)),
+    ):
         alone = draw_motion_script(
             rngs(5), Alive(**{field: getattr(whole, field)}), until_s=UNTIL_S, wrist_radius_m=0.5
         )

@@ -49,8 +49,10 @@ OFFERED = {
 
 def commands_page() -> str:
     """Every command's help, as the command prints it."""
-    parts = ["# Command reference", "What `carecontact COMMAND --help` prints; [commands](../commands.md) explains how "
-             "the commands work together."]  # fmt: skip
+    parts = [
+        "# Command reference",
+        "What `carecontact COMMAND --help` prints; [commands](../commands.md) explains how the commands work together.",
+    ]
     for name in COMMANDS:
         parts += [f"## {name}", "```text", _help(name), "```"]
     return "\n\n".join(parts[:2]) + "\n\n" + "\n".join(parts[2:]) + "\n"
@@ -84,7 +86,7 @@ def _help(name: str) -> str:
     printed = io.StringIO()
     try:
         with redirect_stdout(printed):
-            parse([name, "--help"])
+            parse([*name.split(), "--help"])
     except SystemExit:
         pass
     lines = COLOUR.sub("", printed.getvalue()).strip().splitlines()

@@ -161,7 +161,7 @@ class Run:
 
 
 class _Results(dict[str, Any]):
-    """The content of a results file, whose unknown names are told with the known ones."""
+    """The content of a results file, which answers an unknown name with the known ones."""
 
     def __missing__(self, name: object) -> Any:
         raise UnknownNameError("part of the results", str(name), self)

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
@@ -17,8 +17,6 @@ from typing import Any
 import carecontact
 from carecontact.errors import CarecontactError
 
-# Words of what a policy must not know.
-
 PRIVILEGED = (
     "force", "torque", "wrench", "stiffness", "tissue", "anchor", "shell", "human_joint", "qpos", "seed", "trial",
     "label", "score", "gate", "comfort", "protocol", "task",
@@ -26,8 +24,6 @@ PRIVILEGED = (
 """No key of a message may contain one of these words, even if the contract's classes allow it. Keys of a dialect that
 contain one are on the dialect's exact list (``hosting.dialects``)."""
 
-
-# Makes a process in which no simulator can be imported.
 
 CLOSED = (
     "mujoco", "carecontact.human", "carecontact.tissue", "carecontact.world", "carecontact.sim", "carecontact.running",
@@ -72,23 +68,20 @@ def _importable(name: str) -> bool:
         return False
 
 
-# Runs parts of the audit in a fresh process, which shares neither memory nor patches with the audited one.
-
 LONGEST_S = 1800.0
 
 
 def output_of(code: str, logs: Path, *, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Run ``code`` by ``python -c`` with two arguments, the folder of the package and ``logs``; return the JSON object
-    that it prints last.
+    that it prints last. The process shares neither memory nor patches with the audited one.
 
     Raises CarecontactError if the process fails or takes longer than LONGEST_S.
     """
-    root = str(Path(carecontact.__file__).resolve().parents[1])
+    command = [sys.executable, "-P", "-c", code, str(Path(carecontact.__file__).resolve().parents[1]), str(logs)]
+    texts: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace"}
+    given = {**os.environ, **(environment or {})}
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", code, root, str(logs)], env={**os.environ, **(environment or {})},
-            stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=LONGEST_S, check=False,
-        )  # fmt: skip
+        done = subprocess.run(command, env=given, stdin=subprocess.DEVNULL, timeout=LONGEST_S, check=False, **texts)
     except subprocess.TimeoutExpired:
         raise CarecontactError(f"a process of the audit did not end within {LONGEST_S:g} s") from None
     if done.returncode != 0:
@@ -96,15 +89,17 @@ def output_of(code: str, logs: Path, *, environment: Mapping[str, str] | None = 
     return json.loads(done.stdout.splitlines()[-1])
 
 
-# What a part of the audit returns.
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     policy: str
     place: str
     """The value that leaks, such as ``observation.cameras.overhead.landmarks`` or ``session.time_limit_s``."""
-    told: str
+    detail: str
+
+
+def findings(policy: str, found: Iterable[tuple[str, str]], *, before: str = "", after: str = "") -> list[Finding]:
+    """Return one finding for each pair of a place and what is wrong there, with words before and after the latter."""
+    return [Finding(policy, place, f"{before}{what}{after}") for place, what in found]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,11 +120,10 @@ class Part:
 
     @property
     def missing(self) -> list[str]:
-        """Return what the part should have examined and did not."""
         return [what for what, count in self.counts.items() if not count]
 
     def as_json(self) -> dict[str, Any]:
         return {
             "part": self.name, "title": self.title, "passed": self.passed, "counts": self.counts,
-            "findings": [{"policy": f.policy, "place": f.place, "told": f.told} for f in self.findings],
+            "findings": [{"policy": f.policy, "place": f.place, "told": f.detail} for f in self.findings],
         }  # fmt: skip

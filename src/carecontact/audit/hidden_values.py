@@ -11,10 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from carecontact.audit.finding import Finding, Part
-from carecontact.audit.raw_log import differences
+from carecontact.audit.finding import Finding, Part, findings
+from carecontact.audit.raw_log import differences, message_differences
 from carecontact.audit.schema import failed_at
-from carecontact.audit.watched import Watched, robot_addresses
+from carecontact.audit.watched import Message, Watched, robot_addresses
 from carecontact.episode.randomization import draw
 from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.protocol import Protocol, TrialSpec
@@ -24,8 +24,6 @@ from carecontact.serving import codec
 from carecontact.serving.packing import unpack
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
-
-# Part (b) holds images and encoders still and tests whether anything else in the world changes the observation.
 
 FROZEN_NAME, FROZEN_TITLE = "frozen frames", "hidden state of the world scrambled while the images stay the same"
 ROUNDS = 2
@@ -43,12 +41,13 @@ HIDDEN_OF_MODEL = (
 
 
 def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:
-    """Scramble everything hidden in a world and compare the observations before and after.
+    """Part (b) holds images and encoders still and tests whether anything else in the world changes the observation.
 
     ``simulation`` must be at a moment of contact. Its data and model are the same afterwards.
     """
-    findings: list[Finding] = []
-    fields = changed = images = 0
+    leaks: list[Finding] = []
+    scrambled_only = ", although only hidden state was scrambled"
+    fields = changed = 0
     mujoco.mj_forward(simulation.model, simulation.data)
     other_model = scrambled_model(simulation.model, np.random.default_rng(0))
     keypoints = MediaPipePose()
@@ -75,32 +74,29 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
                     not np.array_equal(a, b, equal_nan=True)
                     for a, b in zip(_arrays(simulation.data).values(), _arrays(data).values(), strict=True)
                 )
-                after = build(other, data)
-                findings += _named(
-                    card.name, differences(before, after, "observation"), "images and encoders stayed the same"
-                )
-        # Here the images are rendered anew: everything is scrambled except what they depend on.
+                changes = differences(before, build(other, data), "observation")
+                leaks += findings(card.name, changes, after=f"{scrambled_only} (images and encoders stayed the same)")
+        # Now the images are rendered again: everything is scrambled except what they depend on.
         visible = scrambled(simulation, np.random.default_rng(2), keep=lambda name: True if name in POSES else None)
-        shown = sorted({(c, i) for card in cards for c in card.cameras for m in card.modalities
-                        for i in builders.IMAGES_FOR[m] if i in ("rgb", "depth")})  # fmt: skip
+        kinds = {(c, image) for card in cards for c in card.cameras for m in card.modalities
+                 for image in builders.IMAGES_FOR[m]}  # fmt: skip
+        shown = sorted((camera, image) for camera, image in kinds if image in ("rgb", "depth"))
         for camera, image in shown:
-            images += 1
-            pair = [
-                getattr(source, image)(data, camera) for source, data in ((renderer, simulation.data), (other, visible))
-            ]
-            told = differences(pair[0], pair[1], f"observation.cameras.{camera}.{image}")
-            findings += _named("every policy", told, "the drawn scene stayed the same")
+            first, second = (
+                getattr(of, image)(data, camera) for of, data in ((renderer, simulation.data), (other, visible))
+            )
+            changes = differences(first, second, f"observation.cameras.{camera}.{image}")
+            leaks += findings("every policy", changes, after=f"{scrambled_only} (the drawn scene stayed the same)")
     keypoints.close()
     counts = {"cards": len(cards), "fields of the world scrambled": min(fields, changed)}
     if shown:
-        counts["images drawn again"] = images
-    return Part(name=FROZEN_NAME, title=FROZEN_TITLE, counts=counts, findings=tuple(findings))
+        counts["images drawn again"] = len(shown)
+    return Part(name=FROZEN_NAME, title=FROZEN_TITLE, counts=counts, findings=tuple(leaks))
 
 
 def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callable[[str], Any]) -> mujoco.MjData:
     """Return a copy of the data with random numbers everywhere except at the indices that ``keep(field)`` gives; True
-    keeps the whole field.
-    """
+    keeps the whole field."""
     data = copy.copy(simulation.data)
     for name, array in _arrays(data).items():
         kept = keep(name)
@@ -134,24 +130,17 @@ def _encoders(simulation: Simulation) -> Callable[[str], Any]:
     model, robot = simulation.model, simulation.robot
     base, tcp = model.body(robot.base_body).id, model.site(robot.tcp_site).id
     qpos, qvel = robot_addresses(model, robot)
-    rows: dict[str, Any] = {
-        "qpos": qpos, "qvel": qvel,
-        "xpos": base, "xmat": base, "xquat": base, "site_xpos": tcp, "site_xmat": tcp,
-        "cam_xpos": slice(None), "cam_xmat": slice(None),
-    }  # fmt: skip
+    rows: dict[str, Any] = {"qpos": qpos, "qvel": qvel}
+    rows |= dict.fromkeys(("xpos", "xmat", "xquat"), base) | dict.fromkeys(("site_xpos", "site_xmat"), tcp)
+    rows |= dict.fromkeys(("cam_xpos", "cam_xmat"), slice(None))
     return rows.get
 
 
 def _arrays(data: mujoco.MjData) -> dict[str, np.ndarray]:
     """Return every array of real numbers by its name. Arrays of whole numbers are addresses and stay as they are."""
-    found = {}
-    for name in dir(data):
-        if name.startswith("_"):
-            continue
-        value = getattr(data, name)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.size and value.flags.writeable:
-            found[name] = value
-    return found
+    values = {name: getattr(data, name) for name in dir(data) if not name.startswith("_")}
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    return {name: a for name, a in arrays.items() if a.dtype.kind == "f" and a.size and a.flags.writeable}
 
 
 def _draw(array: np.ndarray, rng: np.random.Generator, *, low: float = 0.5) -> None:
@@ -184,15 +173,6 @@ class _Frames:
                 delattr(renderer, kind)
 
 
-def _named(policy: str, told: list[tuple[str, str]], held: str) -> list[Finding]:
-    return [
-        Finding(policy=policy, place=place, told=f"{what}, although only hidden state was scrambled ({held})")
-        for place, what in told
-    ]
-
-
-# Part (c): two worlds that differ only in hidden values give the same observations until the tool touches.
-
 CANARY_NAME, CANARY_TITLE = "canary", "same observations until contact in worlds with different hidden values"
 OTHER_SEED = 48_611
 """Added to the seed; no protocol uses such seeds."""
@@ -203,8 +183,7 @@ CONTROL = "scorer/force_human_from_robot_in_world"
 
 def without_noise(protocol: Protocol) -> Protocol:
     """Return the protocol without sensor noise and errors of calibration: both are drawn from the seed by design, so
-    that they would differ between the two worlds.
-    """
+    that they would differ between the two worlds."""
     exact = {"depth_noise": "none", "encoder_noise_rad": 0.0, "calibration_m": 0.0, "calibration_deg": 0.0}
     quiet = protocol.variation.model_copy(update=exact)
     return protocol.model_copy(update={"variation": quiet})
@@ -214,35 +193,28 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
     """Return a trial that looks the same to a policy but has another seed, labels, thresholds, limits and tissue."""
     protocol, task = spec.protocol, spec.protocol.task(spec.task_id)
     renamed = task.model_copy(update={"id": "canary", "name": "Canary"})
+    law = ("a_n_m3", "b_n_m4", "c_n_m5")
     tissue = {
-        region: row.model_copy(update={"a_n_m3": 2 * row.a_n_m3, "b_n_m4": 2 * row.b_n_m4, "c_n_m5": 2 * row.c_n_m5})
+        region: row.model_copy(update={name: 2 * getattr(row, name) for name in law})
         for region, row in protocol.person.tissue.items()
     }
     contact, gates, limits = protocol.contact, protocol.gates, protocol.limits
-    other = protocol.model_copy(
-        update={
-            "description": "canary",
-            "person": protocol.person.model_copy(update={"tissue": tissue, "tissue_set": "canary"}),
-            "tasks": [renamed if t.id == task.id else t for t in protocol.tasks],
-            "contact": contact.model_copy(
-                update={"on_n": 3 * contact.on_n, "valid_total_s": 2 * contact.valid_total_s}
-            ),
-            "gates": gates.model_copy(update={"region_share": gates.region_share / 2}),
-            "limits": limits.model_copy(
-                update={"gamma": limits.gamma / 2, "f_pain_n": {k: 1.5 * v for k, v in limits.f_pain_n.items()}}
-            ),
-        }
-    )
-    return spec.model_copy(update={"protocol": other, "task_id": "canary", "seed": spec.seed + OTHER_SEED})
+    pain = {region: 1.5 * newton for region, newton in limits.f_pain_n.items()}
+    other = {
+        "description": "canary",
+        "person": protocol.person.model_copy(update={"tissue": tissue, "tissue_set": "canary"}),
+        "tasks": [renamed if t.id == task.id else t for t in protocol.tasks],
+        "contact": contact.model_copy(update={"on_n": 3 * contact.on_n, "valid_total_s": 2 * contact.valid_total_s}),
+        "gates": gates.model_copy(update={"region_share": gates.region_share / 2}),
+        "limits": limits.model_copy(update={"gamma": limits.gamma / 2, "f_pain_n": pain}),
+    }
+    seed = spec.seed + OTHER_SEED
+    return spec.model_copy(update={"protocol": protocol.model_copy(update=other), "task_id": "canary", "seed": seed})
 
 
 def other_arm_angle(spec: TrialSpec, *, own_deg: float) -> TrialSpec:
     """Return the trial with a seed that lays the person's arm at an angle far from ``own_deg``, the angle of its own
-    seed.
-
-    Where the protocol parks the robot, ``own_deg`` may differ from the seed's first draw, because that person may have
-    been refused.
-    """
+    seed, which may differ from the seed's first draw, because that person may have been refused."""
     region = spec.protocol.task(spec.task_id).region
 
     def away(seed: int) -> float:
@@ -253,76 +225,61 @@ def other_arm_angle(spec: TrialSpec, *, own_deg: float) -> TrialSpec:
 
 
 def audit_canary(one: Watched, twin: Watched) -> Part:
-    """Compare the observations of the same press in two worlds.
+    """Part (c): two worlds that differ only in hidden values give the same observations until the tool touches.
 
     ``one`` and ``twin``: what ``watched.press`` returned, with the observations still in memory.
     """
-    findings = [
-        Finding(policy=trial.policy, place=place, told=f"could not be run in the {which} world: {trial.error}")
-        for which, trial in (("first", one), ("other", twin))
-        if trial.error
-        for place in failed_at(trial.error)
-    ]
-    counts = {"observations before contact": 0, "scorer samples that differ after contact": 0}
-    if one.recording is not None and twin.recording is not None and not findings:
-        forces = [trial.recording[CONTROL] for trial in (one, twin) if trial.recording is not None]
+    leaks: list[Finding] = []
+    for which, trial in (("first", one), ("other", twin)):
+        leaks += _failed(trial, trial.policy, f"could not be run in the {which} world")
+    before, after = 0, 0
+    if one.recording is not None and twin.recording is not None and not leaks:
+        forces = [recording[CONTROL] for recording in (one.recording, twin.recording)]
         steps = [np.flatnonzero(force.any((1, 2))) for force in forces]
-        times = one.recording["scorer/time_s"]
-        first = int(steps[0][0]) if len(steps[0]) else len(times)
-        dt_s = one.recording.header.spec.protocol.physics.dt_s
-        until_s = (first + 0.5) * dt_s
+        first = int(steps[0][0]) if len(steps[0]) else len(one.recording["scorer/time_s"])
+        until_s = (first + 0.5) * one.recording.header.spec.protocol.physics.dt_s
         for look, other in zip(one.looks, twin.looks, strict=False):
             if look.time_s > until_s:
                 break
-            counts["observations before contact"] += 1
-            if look.sent == other.sent:
-                continue
-            told = differences(unpack(look.sent), unpack(other.sent), "message")
-            at = f"at {look.time_s:.3f} s, before contact"
-            findings += [
-                Finding(
-                    policy=one.policy, place=place.removeprefix("message."),
-                    told=f"{at}: {what}, although the two worlds differ only in hidden values",
-                )
-                for place, what in told or [("message", "the same values are packed in other bytes")]
-            ]  # fmt: skip
-        if len(steps[1]) and int(steps[1][0]) != first:
-            told = f"first contact at step {first} in one world and {int(steps[1][0])} in the other"
-            findings.append(
-                Finding(
-                    policy=one.policy, place="trial", told=f"{told}: the two worlds already differed before contact"
-                )
+            before += 1
+            at, only = (
+                f"at {look.time_s:.3f} s, before contact: ",
+                ", although the two worlds differ only in hidden values",
             )
-        after = [force[first:] for force in forces]
-        length = min(map(len, after))
-        counts["scorer samples that differ after contact"] = int(
-            (after[0][:length] != after[1][:length]).any((1, 2)).sum()
-        )
-        if not counts["scorer samples that differ after contact"]:
-            told = "is the same in both worlds after contact: the other hidden values had no effect"
-            findings.append(Finding(policy=one.policy, place=CONTROL, told=f"{told}, so this part proves nothing"))
-    return Part(name=CANARY_NAME, title=CANARY_TITLE, counts=counts, findings=tuple(findings))
+            leaks += findings(one.policy, _different(look, other), before=at, after=only)
+        if len(steps[1]) and int(steps[1][0]) != first:
+            contacts = f"first contact at step {first} in one world and {int(steps[1][0])} in the other"
+            leaks.append(Finding(one.policy, "trial", f"{contacts}: the two worlds already differed before contact"))
+        length = min(map(len, forces))
+        after = int((forces[0][first:length] != forces[1][first:length]).any((1, 2)).sum())
+        if not after:
+            same = "is the same in both worlds after contact: the other hidden values had no effect"
+            leaks.append(Finding(one.policy, CONTROL, f"{same}, so this part proves nothing"))
+    counts = {"observations before contact": before, "scorer samples that differ after contact": after}
+    return Part(name=CANARY_NAME, title=CANARY_TITLE, counts=counts, findings=tuple(leaks))
 
 
-# Part (d) tests whether anything that reaches a policy's process before its first observation reveals the trial.
+def _failed(trial: Watched, policy: str, what: str) -> list[Finding]:
+    error = trial.error
+    return findings(policy, ((place, f"{what}: {error}") for place in failed_at(error))) if error else []
+
+
+def _different(look: Message, other: Message) -> list[tuple[str, str]]:
+    return [] if look.sent == other.sent else message_differences(unpack(look.sent), unpack(other.sent))
+
 
 HANDSHAKE_NAME, HANDSHAKE_TITLE = "handshake", "start, handshake and reset of two different trials"
-ONLY = "in trials that differ only in"
+ONLY = ", in trials that differ only in "
 
 
 def audit_handshake(one: Watched, twin: Watched) -> Part:
-    """Compare what reached two policy processes before their first observation.
+    """Part (d) tests whether anything that reaches a policy's process before its first observation reveals the trial.
 
     ``one`` and ``twin``: witnesses of two trials that differ in seed, id, labels, thresholds and tissue.
     """
-    findings = _told_differently(one, twin, "seed, id, labels, thresholds and tissue")
-    leaves = len(_leaves(one.told, "")) if twin.told else 0
-    return Part(
-        name=HANDSHAKE_NAME,
-        title=HANDSHAKE_TITLE,
-        counts={"facts that reached the process": leaves},
-        findings=tuple(findings),
-    )
+    leaks = _received_differently(one, twin, "seed, id, labels, thresholds and tissue")
+    counts = {"facts that reached the process": len(_leaves(one.received, "")) if twin.received else 0}
+    return Part(name=HANDSHAKE_NAME, title=HANDSHAKE_TITLE, counts=counts, findings=tuple(leaks))
 
 
 def audit_start(one: Watched, other: Watched) -> Part:
@@ -331,56 +288,37 @@ def audit_start(one: Watched, other: Watched) -> Part:
     ``one`` and ``other``: witnesses without a camera, of trials whose seeds lay the person's arm at different angles.
     """
     what = "seed and the angle of the person's arm"
-    findings = _told_differently(one, other, what)
-    findings += [
-        Finding(policy=one.policy, place=place, told=f"could not be started: {trial.error}")
-        for trial in (one, other)
-        if trial.error
-        for place in failed_at(trial.error)
-    ]
+    leaks = _received_differently(one, other, what)
+    for trial in (one, other):
+        leaks += _failed(trial, one.policy, "could not be started")
     starts = False
     if one.looks and other.looks:
         starts = _another_angle(one, other)
-        first, second = one.looks[0].sent, other.looks[0].sent
-        if first != second:
-            told = differences(unpack(first), unpack(second), "message")
-            findings += [
-                Finding(policy=one.policy, place=place.removeprefix("message."), told=f"at t = 0: {how}, {ONLY} {what}")
-                for place, how in told or [("message", "the same values are packed in other bytes")]
-            ]
-    return Part(
-        name=HANDSHAKE_NAME,
-        title=HANDSHAKE_TITLE,
-        counts={"starts with the arm at another angle": int(starts)},
-        findings=tuple(findings),
-    )
+        changes = _different(one.looks[0], other.looks[0])
+        leaks += findings(one.policy, changes, before="at t = 0: ", after=f"{ONLY}{what}")
+    counts = {"starts with the arm at another angle": int(starts)}
+    return Part(name=HANDSHAKE_NAME, title=HANDSHAKE_TITLE, counts=counts, findings=tuple(leaks))
 
 
 def _another_angle(one: Watched, other: Watched) -> bool:
-    """Whether the arm lay at different angles in the two trials. A protocol that fixes the angle has nothing to
-    hide.
-    """
+    """Whether the arm lay at different angles in the two trials. A protocol that fixes the angle hides nothing."""
     if one.recording is None or other.recording is None:
         return False
     low, high = one.recording.header.spec.protocol.randomization.comfort_arm_deg
     return low == high or one.recording.header.comfort_arm_deg != other.recording.header.comfort_arm_deg
 
 
-def _told_differently(one: Watched, other: Watched, what: str) -> list[Finding]:
-    findings = [
-        Finding(
-            policy=one.policy, place=place.removeprefix("told."), told=f"{how}, in trials that differ only in {what}"
-        )
-        for place, how in differences(one.told, other.told, "told")
-    ]
-    ids = {t.recording.header.spec.trial_id for t in (one, other) if t.recording is not None}
-    return findings + [
-        Finding(policy=one.policy, place=place, told=f"contains the trial's id {trial_id}; no policy may receive it")
+def _received_differently(one: Watched, other: Watched, what: str) -> list[Finding]:
+    changes = [(place.lstrip("."), how) for place, how in differences(one.received, other.received, "")]
+    ids = sorted({t.recording.header.spec.trial_id for t in (one, other) if t.recording is not None})
+    named = [
+        (place, f"contains the trial's id {trial_id}; no policy may receive it")
         for trial in (one, other)
-        for place, value in _leaves(trial.told, "")
-        for trial_id in sorted(ids)
+        for place, value in _leaves(trial.received, "")
+        for trial_id in ids
         if trial_id in str(value)
     ]
+    return [*findings(one.policy, changes, after=f"{ONLY}{what}"), *findings(one.policy, named)]
 
 
 def _leaves(value: Any, place: str) -> list[tuple[str, Any]]:

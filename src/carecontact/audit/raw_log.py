@@ -1,9 +1,13 @@
-"""The log of what an audited trial showed its policy, and what a process without a simulator computes from it."""
+"""The log of what an audited trial showed its policy, and what a process without a simulator computes from it.
+
+A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
+writes none of it. Only the process that draws the images again uses ``spec.json`` and ``LoggedLook.state``. Poses are
+computed from the cell's calibration and the encoders alone, by other code than that which made those that were sent.
+"""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from importlib import resources
@@ -19,14 +23,10 @@ from carecontact.interface.robot import Baked
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.sensing.builder import RawReadings, RawView
 
-# Finds where two values as sent over the wire differ, bit for bit, and by how much.
-
 
 def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
-    """Return a pair of place and difference for every leaf of the maps and lists that differs: array, number or text.
-
-    The list is empty if both values are equal to the last bit.
-    """
+    """Return a pair of place and difference for every leaf of two values as sent over the wire that differs in any bit:
+    array, number or text."""
     if isinstance(expected, dict) and isinstance(got, dict):
         out = [(f"{place}.{key}", "is present, but must not be") for key in sorted(got.keys() - expected.keys())]
         out += [(f"{place}.{key}", "is missing") for key in sorted(expected.keys() - got.keys())]
@@ -34,17 +34,22 @@ def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
             out += differences(expected[key], got[key], f"{place}.{key}")
         return out
     if isinstance(expected, list | tuple) and isinstance(got, list | tuple) and len(expected) == len(got):
-        return [
-            found
-            for index, (a, b) in enumerate(zip(expected, got, strict=True))
-            for found in differences(a, b, f"{place}[{index}]")
-        ]
+        pairs = enumerate(zip(expected, got, strict=True))
+        return [found for index, (a, b) in pairs for found in differences(a, b, f"{place}[{index}]")]
     if isinstance(expected, np.ndarray) and isinstance(got, np.ndarray):
-        told = _of_arrays(expected, got)
-        return [(place, told)] if told else []
-    if type(expected) is type(got) and (expected == got or (_is_nan(expected) and _is_nan(got))):
+        what = _of_arrays(expected, got)
+        return [(place, what)] if what else []
+    # Only NaN differs from itself.
+    if type(expected) is type(got) and (expected == got or (expected != expected and got != got)):
         return []
     return [(place, f"expected {expected!r:.100}, got {got!r:.100}")]
+
+
+def message_differences(expected: Any, got: Any) -> list[tuple[str, str]]:
+    """Return the differences of two messages that are not the same bytes. The packing must not hide anything either,
+    for example in the order of keys."""
+    found = [(place.removeprefix("message."), what) for place, what in differences(expected, got, "message")]
+    return found or [("message", "the same values are packed in other bytes")]
 
 
 def _of_arrays(expected: np.ndarray, got: np.ndarray) -> str:
@@ -61,13 +66,6 @@ def _of_arrays(expected: np.ndarray, got: np.ndarray) -> str:
     return f"{int(other.sum())} of {len(other)} numbers differ{size}"
 
 
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
-# Computes where tool and cameras are from the cell's calibration and the encoders alone: a check of the poses that a
-# policy is sent, by other code than that which made them.
-
 F64 = npt.NDArray[np.float64]
 
 SAME = 1e-12
@@ -76,9 +74,8 @@ between two orders of multiplying the same matrices."""
 
 
 def pose_hand_in_base(arm: str, joint_position: F64) -> F64:
-    """Return the pose (4, 4) of the hand for joint angles (joints,) [rad], by the frames of a baked arm. Every joint
-    turns about the z axis of its frame.
-    """
+    """Return the pose (4, 4) of the hand for joint angles (joints,) [rad], by the frames of a baked arm, whose joints
+    turn about the z axes of their frames."""
     with resources.as_file(Baked(name=arm).file()) as path, np.load(path) as asset:
         positions, quats = asset["frame_position_m"], asset["frame_quat"]
     pose = np.eye(4)
@@ -119,12 +116,6 @@ def _pose(position: F64, quat_wxyz: F64) -> F64:
     pose[:3, 3] = position
     return pose
 
-
-# Logs what an audited trial showed its policy, and the readings behind it, for a process without a simulator.
-#
-# A trial is a folder: ``trial.json``, ``spec.json`` and a ``look-NNNN.npz`` for each observation. An ordinary trial
-# writes none of it. Only the process that draws the images again uses ``spec.json`` and ``LoggedLook.state``; the one
-# that derives the messages again, without a simulator, uses neither.
 
 META, SPEC = "trial.json", "spec.json"
 IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
@@ -186,25 +177,22 @@ def read_spec(folder: Path) -> TrialSpec:
     return TrialSpec.model_validate_json((folder / SPEC).read_text())
 
 
+STATE, RAW = ("joint_position", "joint_velocity", "vector"), ("joint_position", "joint_velocity", "pose_tcp_in_base")
+
+
 def write_look(
     folder: Path, index: int, *, observation: Observation, raw: RawReadings, sent: bytes, state: WorldState
 ) -> None:
     arrays: dict[str, npt.NDArray[Any]] = {
         "sent": np.frombuffer(sent, np.uint8),
         "sim_time_s": np.array(observation.sim_time_s),
-        "joint_position": raw.joint_position,
-        "joint_velocity": raw.joint_velocity,
-        "pose_tcp_in_base": raw.pose_tcp_in_base,
         "state.steps": np.array(state.steps),
-        "state.joint_position": state.joint_position,
-        "state.joint_velocity": state.joint_velocity,
-        "state.vector": state.vector,
+        **{name: getattr(raw, name) for name in RAW},
+        **{f"state.{name}": getattr(state, name) for name in STATE},
     }
     for camera, view in raw.views.items():
-        for name in ("intrinsics", "pose_camera_in_base", *IMAGES):
-            value = getattr(view, name)
-            if value is not None:
-                arrays[f"{camera}/{name}"] = value
+        values = {name: getattr(view, name) for name in ("intrinsics", "pose_camera_in_base", *IMAGES)}
+        arrays |= {f"{camera}/{name}": value for name, value in values.items() if value is not None}
     folder.mkdir(parents=True, exist_ok=True)
     np.savez(folder / f"look-{index:04d}.npz", allow_pickle=False, **arrays)
 
@@ -218,19 +206,10 @@ def read_looks(folder: Path) -> Iterator[LoggedLook]:
             camera, slash, image = name.partition("/")
             if slash:
                 views.setdefault(camera, {})[image] = arrays[name]
+        shown = {camera: RawView(**images) for camera, images in views.items()}
         yield LoggedLook(
             sim_time_s=float(arrays["sim_time_s"]),
-            raw=RawReadings(
-                joint_position=arrays["joint_position"],
-                joint_velocity=arrays["joint_velocity"],
-                pose_tcp_in_base=arrays["pose_tcp_in_base"],
-                views={camera: RawView(**images) for camera, images in views.items()},
-            ),
+            raw=RawReadings(**{name: arrays[name] for name in RAW}, views=shown),
             sent=arrays["sent"].tobytes(),
-            state=WorldState(
-                steps=int(arrays["state.steps"]),
-                joint_position=arrays["state.joint_position"],
-                joint_velocity=arrays["state.joint_velocity"],
-                vector=arrays["state.vector"],
-            ),
+            state=WorldState(steps=int(arrays["state.steps"]), **{name: arrays[f"state.{name}"] for name in STATE}),
         )

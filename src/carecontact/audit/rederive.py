@@ -14,8 +14,8 @@ from carecontact.audit.raw_log import (
     SAME,
     LoggedLook,
     Meta,
-    differences,
     intrinsics,
+    message_differences,
     pose_camera_in_base,
     pose_hand_in_base,
     read_looks,
@@ -48,8 +48,7 @@ def main(folder: str) -> None:
 
 def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str, Any]]:
     """Return one row for each observation: trial, policy, time, bytes sent, and ``differences`` as pairs of a place and
-    what differs there.
-    """
+    what differs there."""
     meta = read_meta(folder)
     return [
         {
@@ -66,24 +65,15 @@ def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str,
 def _changed(look: LoggedLook, meta: Meta, keypoints: KeypointEstimator) -> list[tuple[str, str]]:
     """Return where the message differs, in any bit, from what the logged readings give."""
     try:
-        observation = derive(
-            look.raw,
-            instruction=meta.instruction,
-            sim_time_s=look.sim_time_s,
-            modalities=meta.modalities,
-            keypoints=keypoints,
-        )
+        shown = {"instruction": meta.instruction, "sim_time_s": look.sim_time_s, "modalities": meta.modalities}
+        observation = derive(look.raw, keypoints=keypoints, **shown)
         again = rebuilt_message(observation, meta.arguments, meta.cameras, sent=look.sent)
     except CarecontactError as error:
         return [("observation", f"could not be recomputed: {error}")]
     if again == look.sent:
         return []
     dialect = dialect_of(meta.arguments)
-    told = differences(unpacked_message(again, dialect), unpacked_message(look.sent, dialect), "message")
-    # Nor may the packing hide anything, for example in the order of keys.
-    return [(place.removeprefix("message."), what) for place, what in told] or [
-        ("message", "the same values are packed in other bytes")
-    ]
+    return message_differences(unpacked_message(again, dialect), unpacked_message(look.sent, dialect))
 
 
 def _misplaced(raw: RawReadings, meta: Meta) -> list[tuple[str, str]]:

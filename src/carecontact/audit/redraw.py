@@ -40,15 +40,12 @@ from carecontact.world.robot import VISUAL_GROUP, add_robot
 from carecontact.world.room import FURNITURE_GROUP, SUPPORT, add_furniture, add_light
 from carecontact.world.scene import add_cameras, build_scene
 
-# A second renderer: it draws the pictures of a state without any code of the renderer that made the policy's.
-
 F64 = npt.NDArray[np.float64]
 
 
 class Pictures:
-    """Draws pictures of one model without shadows and multisampling, as the cell's cameras do. MUJOCO_GL names the
-    backend.
-    """
+    """Draws pictures of one model without shadows and multisampling, as the cell's cameras do, with no code of the
+    renderer that made the policy's. MUJOCO_GL names the backend."""
 
     def __init__(self, model: mujoco.MjModel, cameras: dict[str, Camera]) -> None:
         self.model, self._cameras = model, cameras
@@ -86,14 +83,8 @@ class Pictures:
     def _size(self, camera: str) -> tuple[int, int]:
         return self._cameras[camera].height, self._cameras[camera].width
 
-    def _draw(
-        self,
-        data: mujoco.MjData,
-        camera: str,
-        group: int | None,
-        rgb: npt.NDArray[np.uint8] | None,
-        depth: npt.NDArray[np.float32] | None,
-    ) -> None:
+    def _draw(self, data: mujoco.MjData, camera: str, group: int | None, *into: npt.NDArray[Any] | None) -> None:
+        """Draw into a colour image and a depth image, of which one is None."""
         self._context.make_current()
         option, view = mujoco.MjvOption(), mujoco.MjvCamera()
         if group is not None:
@@ -107,7 +98,7 @@ class Pictures:
         height, width = self._size(camera)
         rect = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(rect, self._scene, self._mjr)
-        mujoco.mjr_readPixels(rgb, depth, rect, self._mjr)
+        mujoco.mjr_readPixels(*into, rect, self._mjr)
 
 
 def cell_model(protocol: Protocol, *, like: mujoco.MjModel | None = None) -> mujoco.MjModel:
@@ -132,8 +123,6 @@ def cell_model(protocol: Protocol, *, like: mujoco.MjModel | None = None) -> muj
     return model
 
 
-# The process of part (f): recomputes time, encoders, poses and images of every observation from the recorded state.
-
 CV_FROM_GL = np.diag([1.0, -1.0, -1.0])
 
 REDRAW_BOOTSTRAP = """
@@ -147,8 +136,7 @@ main(sys.argv[2])
 
 def main(folder: str) -> None:
     """Print one JSON object: ``looks`` of every trial, as ``rederive.main`` does, and ``images``, the number of images
-    drawn.
-    """
+    drawn."""
     worlds: dict[str, _World] = {}
     looks: list[dict[str, Any]] = []
     for trial in sorted(path for path in Path(folder).iterdir() if (path / SPEC).is_file()):
@@ -158,15 +146,9 @@ def main(folder: str) -> None:
         policy = read_meta(trial).policy
         noise = sensor_noise(spec.protocol, spec.seed, salt=spec.salt, noise_salt=spec.noise_salt)
         known, dt_s = calibration(spec.protocol, spec.seed, salt=spec.salt), spec.protocol.physics.dt_s
-        looks += [
-            {
-                "trial": trial.name,
-                "policy": policy,
-                "time_s": look.state.steps * dt_s,
-                "differences": world.differences(look, noise, known),
-            }
-            for look in read_looks(trial)
-        ]
+        for look in read_looks(trial):
+            row = {"trial": trial.name, "policy": policy, "time_s": look.state.steps * dt_s}
+            looks.append({**row, "differences": world.differences(look, noise, known)})
     sys.stdout.write(json.dumps({"looks": looks, "images": sum(w.images for w in worlds.values())}) + "\n")
 
 
@@ -195,15 +177,12 @@ class _World:
         angles = noise.joint_position(state.joint_position, sim_time_s=now_s)
         data = _at(self._cell, self._robot, angles, known)
         tool = data.site(self._robot.tcp_site)
+        held = _in_base(data, self._robot, tool.xpos, tool.xmat)
         rows: list[tuple[str, Any, Any]] = [
             ("sim_time_s", now_s, look.sim_time_s),
             ("joint_position", angles, raw.joint_position),
             ("joint_velocity", state.joint_velocity, raw.joint_velocity),
-            (
-                "pose_tcp_in_base",
-                _in_base(data, self._robot, tool.xpos, tool.xmat),
-                raw.pose_tcp_in_base,
-            ),
+            ("pose_tcp_in_base", held, raw.pose_tcp_in_base),
         ]
         for name, view in raw.views.items():
             camera, optics = data.cam(name), intrinsics(self._cameras[name].model_dump())
@@ -226,10 +205,10 @@ class _World:
 
     def _image(self, image: str, camera: str, state: WorldState, angles: F64, known: Calibration) -> npt.NDArray[Any]:
         self.images += 1
-        if image == "robot_depth":
-            return self._empty.depth(_at(self._empty.model, self._robot, angles, known), camera, group=VISUAL_GROUP)
-        if image == "cell_depth":
-            return self._empty.depth(_at(self._empty.model, self._robot, angles, known), camera, group=FURNITURE_GROUP)
+        groups = {"robot_depth": VISUAL_GROUP, "cell_depth": FURNITURE_GROUP}
+        if image in groups:
+            empty = _at(self._empty.model, self._robot, angles, known)
+            return self._empty.depth(empty, camera, group=groups[image])
         model = self._whole.model
         data = mujoco.MjData(model)
         mujoco.mj_setState(model, data, state.vector, DRAWN)
@@ -266,8 +245,7 @@ def _at(model: mujoco.MjModel, robot: Robot, angles: F64, known: Calibration) ->
 
 def _in_base(data: mujoco.MjData, robot: Robot, position: F64, rotation: F64) -> F64:
     """Turn a position (3,) [m] and a rotation matrix (3, 3) or (9,) in the world into a pose (4, 4) in the robot's
-    base.
-    """
+    base."""
     base, pose = data.body(robot.base_body), np.eye(4)
     to_base = base.xmat.reshape(3, 3).T
     pose[:3, :3] = to_base @ rotation.reshape(3, 3)

@@ -9,14 +9,15 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from carecontact.audit import hidden_values, schema
-from carecontact.audit.finding import Finding, Part, output_of
+from carecontact.audit.finding import Finding, Part, findings, output_of
 from carecontact.audit.rederive import REDERIVE_BOOTSTRAP
 from carecontact.audit.redraw import REDRAW_BOOTSTRAP
-from carecontact.audit.watched import CONTROL_HZ, Keyframe, Watched, press, watch
+from carecontact.audit.watched import CONTROL_HZ, Keyframe, Prepare, Watched, press, watch
 from carecontact.episode.randomization import settled_world, without_draws
 from carecontact.interface.observation import MODALITIES
 from carecontact.interface.policy import CAMERAS, PolicyCard
@@ -26,63 +27,55 @@ from carecontact.serving.conversation import PolicySetup
 from carecontact.sim.opengl import choose_backend
 from carecontact.sim.simulation import Settled, Simulation
 
-# Part (a) tests whether every byte sent to a policy is a function of images, calibration and encoders.
-
 DERIVATION_NAME, DERIVATION_TITLE = "re-derivation", "observations recomputed without a simulator"
+READINGS_NAME, READINGS_TITLE = "readings", "time, encoders and images recomputed from the recorded state"
 
 
 def audit_derivation(logs: Path, pressed: list[Watched]) -> Part:
-    """Derive every logged message again and compare it with the one that was sent.
+    """Part (a) tests whether every byte sent to a policy is a function of images, calibration and encoders: it derives
+    every logged message again and compares it with the one that was sent.
 
     ``logs``: folder of raw logs of trials. ``pressed``: the trials among them in which contact must occur.
 
     Raises CarecontactError if the process that derives the messages breaks.
     """
-    said = output_of(REDERIVE_BOOTSTRAP, logs)
-    findings = [
-        Finding(policy=look["policy"], place=place, told=f"at {look['time_s']:.3f} s of {look['trial']}: {told}")
-        for look in said["looks"]
-        for place, told in look["differences"]
-    ]
-    if said["simulators"]:
-        told = f"the process that recomputes observations could import a simulator: {', '.join(said['simulators'])}"
-        findings.append(Finding(policy="", place="re-derivation", told=told))
-    return Part(
-        name=DERIVATION_NAME, title=DERIVATION_TITLE,
-        counts={
-            "observations": len(said["looks"]),
-            "observations in contact": sum(trial.looks_in_contact for trial in pressed),
-            "bytes": sum(look["bytes"] for look in said["looks"]),
-        },
-        findings=tuple(findings),
-    )  # fmt: skip
-
-
-# Part (f) tests whether time, encoders, poses and pictures are what the recorded state gives, and nothing more.
-
-READINGS_NAME, READINGS_TITLE = "readings", "time, encoders and images recomputed from the recorded state"
+    again = output_of(REDERIVE_BOOTSTRAP, logs)
+    found = _of_looks(again["looks"])
+    if again["simulators"]:
+        imports = f"the process that recomputes observations could import a simulator: {', '.join(again['simulators'])}"
+        found.append(Finding("", "re-derivation", imports))
+    counts = {
+        "observations": len(again["looks"]),
+        "observations in contact": sum(trial.looks_in_contact for trial in pressed),
+        "bytes": sum(look["bytes"] for look in again["looks"]),
+    }
+    return Part(name=DERIVATION_NAME, title=DERIVATION_TITLE, counts=counts, findings=tuple(found))
 
 
 def audit_readings(logs: Path, trials: list[Watched]) -> Part:
-    """Compare the readings of every observation with the recorded state.
+    """Part (f) tests whether time, encoders, poses and pictures are what the recorded state gives, and nothing more.
 
     ``logs``: folder of raw logs. ``trials``: all trials that were run, also those whose observations are in no log.
 
     Raises CarecontactError if the process that draws again breaks.
     """
     backend = choose_backend()
-    said = output_of(REDRAW_BOOTSTRAP, logs, environment={"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend})
-    findings = [
-        Finding(policy=look["policy"], place=place, told=f"at {look['time_s']:.3f} s of {look['trial']}: {told}")
-        for look in said["looks"]
-        for place, told in look["differences"]
-    ]
+    again = output_of(REDRAW_BOOTSTRAP, logs, environment={"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend})
+    found = _of_looks(again["looks"])
     for trial in trials:
-        findings += _off_the_grid(trial)
-    counts = {"looks": len(said["looks"]), "looks timed": sum(len(trial.look_steps) for trial in trials)}
-    if said["images"]:
-        counts["images drawn again"] = said["images"]
-    return Part(name=READINGS_NAME, title=READINGS_TITLE, counts=counts, findings=tuple(findings))
+        found += _off_the_grid(trial)
+    counts = {"looks": len(again["looks"]), "looks timed": sum(len(trial.look_steps) for trial in trials)}
+    if again["images"]:
+        counts["images drawn again"] = again["images"]
+    return Part(name=READINGS_NAME, title=READINGS_TITLE, counts=counts, findings=tuple(found))
+
+
+def _of_looks(looks: list[dict[str, Any]]) -> list[Finding]:
+    found: list[Finding] = []
+    for look in looks:
+        when = f"at {look['time_s']:.3f} s of {look['trial']}: "
+        found += findings(look["policy"], look["differences"], before=when)
+    return found
 
 
 def _off_the_grid(trial: Watched) -> list[Finding]:
@@ -91,19 +84,17 @@ def _off_the_grid(trial: Watched) -> list[Finding]:
         return []
     dt_s = trial.recording.header.spec.protocol.physics.dt_s
     recorded = trial.recording["policy/observation_time_s"].tolist()
-    found: list[Finding] = []
-    for steps, sent_s in zip(trial.look_steps, trial.look_times_s, strict=True):
-        if sent_s != steps * dt_s:
-            told = f"{sent_s!r} s was sent after {steps} steps of {dt_s!r} s"
-            found.append(Finding(policy=trial.policy, place="observation.sim_time_s", told=told))
+    found = [
+        ("observation.sim_time_s", f"{sent_s!r} s was sent after {steps} steps of {dt_s!r} s")
+        for steps, sent_s in zip(trial.look_steps, trial.look_times_s, strict=True)
+        if sent_s != steps * dt_s
+    ]
     grid = [steps * dt_s for steps in trial.look_steps]
     if recorded[: len(grid)] != grid:
-        told = f"is not the number of physics steps before each observation times {dt_s!r} s"
-        found.append(Finding(policy=trial.policy, place="policy/observation_time_s", told=told))
-    return found
+        off = f"is not the number of physics steps before each observation times {dt_s!r} s"
+        found.append(("policy/observation_time_s", off))
+    return findings(trial.policy, found)
 
-
-# Everything that the audit runs on one region of the person: trials of the policies, presses, and checks of both.
 
 QUICK_TRIAL_S = 0.1
 """Length [s] of the policies' trials in the quick form: one observation, with the robot parked."""
@@ -129,21 +120,12 @@ class RegionAudit:
     _real: list[Watched] = field(default_factory=list[Watched], init=False)
     _pressed: list[Watched] = field(default_factory=list[Watched], init=False)
 
-    @property
-    def _log(self) -> Path:
-        return self.folder / "logs"
-
-    @property
-    def _witness(self) -> Path:
-        return self.folder / "witness"
-
-    @property
-    def _quiet(self) -> TrialSpec:
-        return self.spec.model_copy(update={"protocol": hidden_values.without_noise(self.spec.protocol)})
-
-    @property
-    def _name(self) -> str:
-        return self.spec.protocol.task(self.spec.task_id).region.replace("_", " ")
+    def __post_init__(self) -> None:
+        self._log, self._witness = self.folder / "logs", self.folder / "witness"
+        self._task = self.spec.protocol.task(self.spec.task_id)
+        self._name = self._task.region.replace("_", " ")
+        quiet = hidden_values.without_noise(self.spec.protocol)
+        self._quiet = self.spec.model_copy(update={"protocol": quiet})
 
     @contextmanager
     def logs(self) -> Iterator[None]:
@@ -154,46 +136,49 @@ class RegionAudit:
 
     def try_policies(self, policies: Sequence[PolicySetup], task_ids: Sequence[str]) -> list[Watched]:
         """Run one trial of every policy for each of these tasks of the region, and check its messages against its
-        card.
-        """
-        for task_id in task_ids:
-            for index, policy in enumerate(policies):
-                self.on_event(f"running a trial of {policy.ref}, {task_id}")
-                spec = _shortened(self.spec, policy, quick=self.quick).model_copy(update={"task_id": task_id})
-                trial = watch(
-                    spec, policy=policy.ref.text, prepare=self.keyframe.parked,
-                    log=self._log / f"real-{task_id}-{index:02d}", setup=policy,
-                )  # fmt: skip
-                self.add(schema.audit_schema([trial]))
-                trial.forget()
-                self._real.append(trial)
+        card."""
+        for task_id, (index, policy) in product(task_ids, enumerate(policies)):
+            self.on_event(f"running a trial of {policy.ref}, {task_id}")
+            spec = _shortened(self.spec, policy, quick=self.quick).model_copy(update={"task_id": task_id})
+            log, name = self._log / f"real-{task_id}-{index:02d}", policy.ref.text
+            trial = watch(spec, policy=name, prepare=self.keyframe.parked, log=log, setup=policy)
+            self.add(schema.audit_schema([trial]))
+            trial.forget()
+            self._real.append(trial)
         return self._real
 
     def press_with(self, cards: Sequence[PolicyCard]) -> None:
         """With each card, run two presses in worlds that differ in hidden values; also run two starts."""
+        other = hidden_values.other_hidden_values(self._quiet)
         for index, card in enumerate(cards):
             self.on_event(f"running two presses on the {self._name} with the card of {card.name}")
             seldom, log = self.quick and bool(card.modalities), self._log / f"press-{self.number}-{index:02d}"
-            one, twin = _pair(
-                self._quiet, card, self.keyframe, actions_per_look=QUICK_ACTIONS_PER_LOOK if seldom else 1,
-                folder=self._witness, log=log,
-            )  # fmt: skip
+            actions = QUICK_ACTIONS_PER_LOOK if seldom else 1
+            one = self._press(self._quiet, card, self.keyframe.near, actions, log)
+            twin = self._press(other, card, self.keyframe.twin, actions)
             self.add(hidden_values.audit_canary(one, twin))
             self.add(hidden_values.audit_handshake(one, twin))
             self._pressed.append(one)
             if seldom:
                 # Only images cost time, so that presses without images observe as often as in the full form.
                 blind = log.with_name(f"blind-{log.name}")
-                self._pressed.append(_blind_press(self._quiet, self.keyframe, folder=self._witness, log=blind))
+                self._pressed.append(self._press(self._quiet, BLIND, self.keyframe.near, 1, blind))
             one.forget()
         self.on_event("starting two trials with the arm at different angles")
         self.add(hidden_values.audit_start(*two_starts(self._quiet, self.keyframe, folder=self._witness)))
 
+    def _press(
+        self, spec: TrialSpec, card: PolicyCard, prepare: Prepare, actions_per_look: int, log: Path | None = None
+    ) -> Watched:
+        poses, folder = self.keyframe.poses, self._witness
+        return press(
+            spec, card=card, poses=poses, prepare=prepare, actions_per_look=actions_per_look, folder=folder, log=log
+        )
+
     def scramble(self, cards: Sequence[PolicyCard]) -> None:
-        """Scramble everything hidden in a world in contact, and compare the observations."""
         self.on_event(f"scrambling the hidden state in contact with the {self._name}")
-        prompt = self.spec.protocol.task(self.spec.task_id).prompt
-        self.add(hidden_values.audit_frozen(_at_contact(self.keyframe, self.spec), cards, instruction=prompt))
+        world = _at_contact(self.keyframe, self.spec)
+        self.add(hidden_values.audit_frozen(world, cards, instruction=self._task.prompt))
 
     def make_again(self) -> None:
         """Make every logged observation again, from readings and pictures that are read and drawn again."""
@@ -220,47 +205,20 @@ def _shortened(spec: TrialSpec, policy: PolicySetup, *, quick: bool) -> TrialSpe
 
 def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
     """Return one card for each different request, named after the policies that make it, or one card for all
-    together.
-    """
+    together."""
     asked: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
     for trial in trials:
-        card = trial.card
-        if card is not None:
-            wanted = (card.modalities, card.cameras)
-            asked.setdefault(wanted, []).append(trial.policy)
+        if card := trial.card:
+            asked.setdefault((card.modalities, card.cameras), []).append(trial.policy)
     if together and asked:
-        modalities = {m for wanted, _ in asked for m in wanted}
-        cameras = {c for _, wanted in asked for c in wanted}
-        names = [name for group in asked.values() for name in group]
-        asked = {(_in_order(modalities, MODALITIES), _in_order(cameras, CAMERAS)): names}
+        modalities, cameras = ({one for wanted in asked for one in wanted[part]} for part in (0, 1))
+        all_modalities = tuple(name for name in MODALITIES if name in modalities)
+        all_cameras = tuple(name for name in CAMERAS if name in cameras)
+        asked = {(all_modalities, all_cameras): [name for group in asked.values() for name in group]}
     return [
         PolicyCard(name=", ".join(dict.fromkeys(names)), modalities=modalities, cameras=cameras, control_hz=CONTROL_HZ)
         for (modalities, cameras), names in asked.items()
     ]
-
-
-def _in_order(wanted: set[str], order: Sequence[str]) -> tuple[str, ...]:
-    return tuple(name for name in order if name in wanted)
-
-
-def _pair(
-    spec: TrialSpec, card: PolicyCard, keyframe: Keyframe, *, actions_per_look: int, folder: Path, log: Path
-) -> tuple[Watched, Watched]:
-    """Run the same press in two worlds that differ in hidden values, and log the first one."""
-    poses = keyframe.poses
-    one = press(
-        spec, card=card, poses=poses, prepare=keyframe.near, actions_per_look=actions_per_look, folder=folder, log=log
-    )
-    other = hidden_values.other_hidden_values(spec)
-    return one, press(
-        other, card=card, poses=poses, prepare=keyframe.twin, actions_per_look=actions_per_look, folder=folder
-    )
-
-
-def _blind_press(spec: TrialSpec, keyframe: Keyframe, *, folder: Path, log: Path) -> Watched:
-    return press(
-        spec, card=BLIND, poses=keyframe.poses, prepare=keyframe.near, actions_per_look=1, folder=folder, log=log
-    )
 
 
 def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Watched, Watched]:
@@ -289,8 +247,6 @@ def _at_contact(keyframe: Keyframe, spec: TrialSpec) -> Simulation:
     simulation.refresh()
     return simulation
 
-
-# The whole audit: its six parts on every region, and the file that it leaves.
 
 SCHEMA = "carecontact-audit-1"
 PARTS = (
@@ -322,17 +278,20 @@ class Audit:
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``audit.json``. If everything passed, nothing in it depends on place, time or
-        machine.
-        """
+        machine."""
+        rules = self.protocol
+        person = {"body": rules.person.body, "seed": self.seed}
         return {
-            "schema": SCHEMA, "passed": self.passed, "quick": self.quick, "policies": list(self.policies),
-            "privileged": list(self.privileged), "trials": [trial.as_json() for trial in self.trials],
-            "protocol": {
-                "id": self.protocol.name, "level": self.protocol.level, "sha256": self.protocol.sha256,
-                "body": self.protocol.person.body, "seed": self.seed,
-            },
-            "versions": package_versions(), "parts": [part.as_json() for part in self.parts],
-        }  # fmt: skip
+            "schema": SCHEMA,
+            "passed": self.passed,
+            "quick": self.quick,
+            "policies": list(self.policies),
+            "privileged": list(self.privileged),
+            "trials": [trial.as_json() for trial in self.trials],
+            "protocol": {"id": rules.name, "level": rules.level, "sha256": rules.sha256, **person},
+            "versions": package_versions(),
+            "parts": [part.as_json() for part in self.parts],
+        }
 
 
 def audit(
@@ -344,7 +303,7 @@ def audit(
     seed: int | None = None,
     salt: str = "",
     privileged: Sequence[str] = (),
-    on_event: Callable[[str], None] = lambda said: None,
+    on_event: Callable[[str], None] = lambda event: None,
 ) -> Audit:
     """Run every part on every policy.
 
@@ -366,27 +325,34 @@ def audit(
     trials: list[Watched] = []
     with tempfile.TemporaryDirectory(prefix="carecontact-audit-") as folder:
         for number, task_ids in enumerate(_by_region(protocol, tasks, quick=quick)):
+            spec = TrialSpec(protocol=protocol, task_id=task_ids[0], seed=seed, policy="", salt=salt)
             region = RegionAudit(
-                spec=TrialSpec(protocol=protocol, task_id=task_ids[0], seed=seed, policy="", salt=salt), number=number,
-                keyframe=Keyframe(protocol, task_id=task_ids[0], seed=seed, salt=salt), folder=Path(folder),
-                quick=quick, on_event=on_event, add=lambda part: found[part.name].append(part),
-            )  # fmt: skip
+                spec=spec,
+                number=number,
+                keyframe=Keyframe(protocol, task_id=task_ids[0], seed=seed, salt=salt),
+                folder=Path(folder),
+                quick=quick,
+                on_event=on_event,
+                add=lambda part: found[part.name].append(part),
+            )
             with region.logs():
                 trials += region.try_policies(policies, task_ids)
                 cards = cards_of(trials, together=quick)
                 region.press_with(cards)
                 region.scramble(cards)
                 region.make_again()
-    parts = tuple(_merged(name, title, found[name]) for name, title in PARTS)
-    names = tuple(policy.ref.text for policy in policies)
     return Audit(
-        protocol=protocol, policies=names, quick=quick, seed=seed, trials=tuple(trials), parts=parts,
+        protocol=protocol,
+        policies=tuple(policy.ref.text for policy in policies),
+        quick=quick,
+        seed=seed,
+        trials=tuple(trials),
+        parts=tuple(_merged(name, title, found[name]) for name, title in PARTS),
         privileged=tuple(privileged),
-    )  # fmt: skip
+    )
 
 
 def write(result: Audit, folder: Path) -> Path:
-    """Write ``audit.json`` into the folder and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "audit.json"
     path.write_text(json.dumps(result.as_json(), indent=2) + "\n")
@@ -408,5 +374,5 @@ def _merged(name: str, title: str, parts: Sequence[Part]) -> Part:
     counts: Counter[str] = Counter()
     for part in parts:
         counts.update(part.counts)
-    findings = tuple(finding for part in parts for finding in part.findings)
-    return Part(name=name, title=title, counts=dict(counts) or {"policies that showed a card": 0}, findings=findings)
+    found = tuple(finding for part in parts for finding in part.findings)
+    return Part(name=name, title=title, counts=dict(counts) or {"policies that showed a card": 0}, findings=found)

@@ -41,11 +41,11 @@ def verify_salt(run: Path) -> Verified:
     """
     manifest = committed(run)
     if not manifest.salt:
-        raise ConfigError(f"{run}: the salt is not revealed yet; its owner does it with `carecontact salt reveal`")
+        raise ConfigError(f"{run}: the salt is not revealed yet; its owner runs `carecontact protocol salt reveal`")
     faults: list[str] = []
     if commitment(manifest.salt) != manifest.salt_sha256:
-        faults.append(f"{MANIFEST}: the sha256 of the revealed salt is {commitment(manifest.salt)}, and the run "
-                      f"committed to {manifest.salt_sha256}")  # fmt: skip
+        revealed, hashed = f"{MANIFEST}: the sha256 of the revealed salt is", commitment(manifest.salt)
+        faults.append(f"{revealed} {hashed}, and the run committed to {manifest.salt_sha256}")
     recordings = draws = 0
     for path in sorted(run.glob("*.h5")):
         recording = read_recording(path)
@@ -81,9 +81,9 @@ def drawn_again(recording: Recording, salt: str) -> Iterator[tuple[str, bool]]:
 
 def _same_errors(recording: Recording, known: Calibration) -> bool:
     """Whether the recorded belief about every fixed camera's pose agrees with its drawn error."""
-    for told, true in zip(recording[BELIEVED], recording[TRUE], strict=True):
+    for beliefs, truths in zip(recording[BELIEVED], recording[TRUE], strict=True):
         for name, error in known.items():
-            believed, place = (row[CAMERAS.index(name)] for row in (told, true))
+            believed, place = (row[CAMERAS.index(name)] for row in (beliefs, truths))
             if np.isnan(believed).all():
                 continue
             away = pose_matrix(place[:3], place[3:]) @ error - pose_matrix(believed[:3], believed[3:])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from carecontact.audit.finding import PRIVILEGED, Finding, Part
+from carecontact.audit.finding import PRIVILEGED, Finding, Part, findings
 from carecontact.audit.watched import Watched
 from carecontact.errors import CarecontactError, ContractError
 from carecontact.interface.policy import PolicyCard
@@ -18,8 +18,6 @@ from carecontact.serving import codec, dialect_media, vla_eval
 from carecontact.serving.dialect import CARTESIAN, ENDPOINT, GRIPPER, JOINTS, PROMPT, SESSION, profile_of
 from carecontact.serving.packing import unpack
 from carecontact.serving.sent_message import dialect_of, unpacked_message
-
-# Audits the messages to a dialect's server: each may have the keys on the dialect's exact list and no other.
 
 Found = Iterator[tuple[str, str]]
 """Pairs of a place in a message and what is wrong there."""
@@ -137,8 +135,6 @@ def _paths(value: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     return out
 
 
-# Part (e) tests whether a policy gets what its card names, in the contract's schema, and nothing more.
-
 SCHEMA_NAME, SCHEMA_TITLE = "schema", "messages of real trials of each policy"
 FIELDS_OF = {
     "rgb": {"rgb"},
@@ -157,28 +153,23 @@ from the error."""
 
 def audit_schema(trials: list[Watched]) -> Part:
     """``trials``: real trials of the audited policies, with their observations still in memory."""
-    findings: list[Finding] = []
+    leaks: list[Finding] = []
     messages = 0
     for trial in trials:
         if trial.error:
-            told = f"the trial failed, so the audit did not see all of its messages: {reason(trial.error)}"
-            findings += [Finding(policy=trial.policy, place=place, told=told) for place in failed_at(trial.error)]
+            failed = f"the trial failed, so the audit did not see all of its messages: {reason(trial.error)}"
+            leaks += findings(trial.policy, ((place, failed) for place in failed_at(trial.error)))
         card = trial.card
         if card is not None and dialect_of(card.arguments):
             sent = [message for message in trial.sent if message]
             messages += len(sent)
-            found = check_conversation(sent, card, instruction=trial.instruction)
-            findings += [Finding(policy=trial.policy, place=place, told=told) for place, told in found]
+            leaks += findings(trial.policy, check_conversation(sent, card, instruction=trial.instruction))
             continue
         messages += len(trial.looks)
         for look in trial.looks:
-            found = check_message(look.sent, card, joints=trial.joints)
-            findings += [Finding(policy=trial.policy, place=place, told=told) for place, told in found]
-    return Part(
-        name=SCHEMA_NAME, title=SCHEMA_TITLE,
-        counts={"trials": len(trials), "messages": messages},
-        findings=tuple(dict.fromkeys(findings)),
-    )  # fmt: skip
+            leaks += findings(trial.policy, check_message(look.sent, card, joints=trial.joints))
+    counts = {"trials": len(trials), "messages": messages}
+    return Part(name=SCHEMA_NAME, title=SCHEMA_TITLE, counts=counts, findings=tuple(dict.fromkeys(leaks)))
 
 
 def failed_at(error: str) -> list[str]:
@@ -196,11 +187,11 @@ def check_message(sent: bytes, card: PolicyCard | None, *, joints: int) -> list[
     if not isinstance(message, dict) or set(message) != MESSAGE:
         keys = sorted(message) if isinstance(message, dict) else type(message).__name__
         return [("message", f"expected the keys {sorted(MESSAGE)}, got {keys}")]
-    told = (
+    privileged = (
         "this key contains a word of privileged information (PRIVILEGED in audit/finding.py); no policy may receive it"
     )
-    found = [(place, told) for place in _message_keys(message["observation"], "observation")
-             if any(word in place.rpartition(".")[2] for word in PRIVILEGED)]  # fmt: skip
+    keys = _message_keys(message["observation"], "observation")
+    found = [(place, privileged) for place in keys if any(word in place.rpartition(".")[2] for word in PRIVILEGED)]
     try:
         observation = codec.decode_observation(message["observation"])
     except ContractError as error:
@@ -209,21 +200,16 @@ def check_message(sent: bytes, card: PolicyCard | None, *, joints: int) -> list[
         found.append(("observation.joint_position", f"expected {joints} numbers, got {got}"))
     if card is None:
         return [*found, ("card", "an observation was sent to a policy that showed no card")]
-    cameras = set(card.cameras)
-    if set(observation.cameras) != cameras:
-        told = f"the card requests {sorted(cameras) or 'none'}, but the message holds {sorted(observation.cameras)}"
-        found.append(("observation.cameras", told))
+    requested, shown = sorted(set(card.cameras)), sorted(observation.cameras)
+    if requested != shown:
+        holds = f"the card requests {requested or 'none'}, but the message holds {shown}"
+        found.append(("observation.cameras", holds))
     wanted = ALWAYS.union(*(FIELDS_OF[m] for m in card.modalities))
     for name, view in observation.cameras.items():
-        sent_fields = {field for field, value in vars(view).items() if value is not None}
-        found += [
-            (f"observation.cameras.{name}.{f}", "was sent, although the card does not request it")
-            for f in sorted(sent_fields - wanted)
-        ]
-        found += [
-            (f"observation.cameras.{name}.{f}", "was not sent, although the card requests it")
-            for f in sorted(wanted - sent_fields)
-        ]
+        sent_fields, place = {field for field, value in vars(view).items() if value is not None}, "observation.cameras"
+        more, less = "was sent, although the card does not request it", "was not sent, although the card requests it"
+        found += [(f"{place}.{name}.{field}", more) for field in sorted(sent_fields - wanted)]
+        found += [(f"{place}.{name}.{field}", less) for field in sorted(wanted - sent_fields)]
     return found
 
 

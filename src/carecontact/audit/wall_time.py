@@ -28,8 +28,6 @@ SURE_Z = 3.3
 
 @dataclass(frozen=True, kw_only=True)
 class Times:
-    """The intervals between two acts of one trial."""
-
     per_period_s: npt.NDArray[np.float64]
     """(n,) wall time [s] for each control period: the time from an answer until the next observation was sent, divided
     by the number of its control periods."""
@@ -84,7 +82,6 @@ def separation(trials: Iterable[Times]) -> Separation:
 
 
 def audit_time(recordings: Iterable[Recording]) -> Part:
-    """Audit the wall times of one run's recordings."""
     free: list[Times] = []
     paced: list[Times] = []
     policy, late = "", 0
@@ -93,27 +90,23 @@ def audit_time(recordings: Iterable[Recording]) -> Part:
         claims = PACED in recording.arrays
         (paced if claims else free).append(times_of(recording))
         late += int(recording[PACED][1]) if claims else 0
-    told: list[str] = []
-    findings: list[Finding] = []
-    compared = 0
-    for kind, trials in (("without a pace", free), ("with a pace", paced)):
-        if not trials:
-            continue
-        found = separation(trials)
-        text = _told(found)
-        compared += not math.isnan(found.auc)
-        told.append(f"{kind}: {text}")
-        if kind == "with a pace" and found.tells:
-            cause = f"; {counted(late, 'observation')} came late: give a longer --pace" if late else ""
-            findings.append(Finding(policy=policy, place="wall time between two acts", told=text + cause))
+    found = {kind: separation(of) for kind, of in (("without a pace", free), ("with a pace", paced)) if of}
+    leaks: list[Finding] = []
+    if paced and found["with a pace"].tells:
+        cause = f"; {counted(late, 'observation')} came late: give a longer --pace" if late else ""
+        leaks.append(Finding(policy, "wall time between two acts", _words(found["with a pace"]) + cause))
     return Part(
-        name=NAME, title=TITLE, counts={"recordings": len(free) + len(paced)}, findings=tuple(findings),
-        notes=tuple(told), nothing_to_examine=not compared,
-    )  # fmt: skip
+        name=NAME,
+        title=TITLE,
+        counts={"recordings": len(free) + len(paced)},
+        findings=tuple(leaks),
+        notes=tuple(f"{kind}: {_words(one)}" for kind, one in found.items()),
+        nothing_to_examine=all(math.isnan(one.auc) for one in found.values()),
+    )
 
 
-def _told(found: Separation) -> str:
+def _words(found: Separation) -> str:
     if math.isnan(found.auc):
         return "nothing to examine, because no trial has intervals both with and without contact"
-    said = "tells contact" if found.tells else "does not tell contact"
-    return f"wall time {said} (AUC {found.auc:.2f}, {found.z:+.1f} standard errors from 0.5)"
+    verdict = "tells contact" if found.tells else "does not tell contact"
+    return f"wall time {verdict} (AUC {found.auc:.2f}, {found.z:+.1f} standard errors from 0.5)"

@@ -26,11 +26,9 @@ from carecontact.recording.schema import Recording
 from carecontact.running.trial import Look, run_trial
 from carecontact.serving import codec
 from carecontact.serving.conversation import PolicySetup
-from carecontact.serving.witness import TASK, TOLD
+from carecontact.serving.witness import RECEIVED_FILE, TASK
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.tissue.plugin import set_law
-
-# Reads the simulator's state through MuJoCo's own interface, without any code that makes observations.
 
 DRAWN = int(
     mujoco.mjtState.mjSTATE_TIME | mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL
@@ -41,7 +39,8 @@ among them."""
 
 
 class StateReader:
-    """Reads one simulation. It must be made at t = 0, from which it counts steps."""
+    """Reads one simulation through MuJoCo's own interface, without any code that makes observations. It must be made at
+    t = 0, from which it counts steps."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._model, self._data = simulation.model, simulation.data
@@ -64,8 +63,6 @@ def robot_addresses(model: mujoco.MjModel, robot: Robot) -> tuple[list[int], lis
     joints = [model.joint(name) for name in robot.joints]
     return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
 
-
-# Worlds from which the audit's trials begin: settled once, with the robot parked or about to touch.
 
 F64 = npt.NDArray[np.float64]
 
@@ -135,8 +132,7 @@ class Keyframe:
 
     def _approach(self, simulation: Simulation, *, region: str) -> tuple[F64, F64]:
         """Return the state BEFORE_S before first contact and the poses (n, 7) that follow it. If the person has moved
-        meanwhile, the press is aimed again.
-        """
+        meanwhile, the press is aimed again."""
         simulation.start()
         steps = round(1 / CONTROL_HZ / simulation.model.opt.timestep)
         back, ahead = round(BEFORE_S * CONTROL_HZ), round(AFTER_S * CONTROL_HZ)
@@ -158,8 +154,7 @@ class Keyframe:
 
 def _press(simulation: Simulation, region: str) -> F64:
     """Return poses (n, 7) of the tool centre point in the robot's base at CONTROL_HZ, from where the robot is to a
-    press on the region where it lies now.
-    """
+    press on the region where it lies now."""
     simulation.refresh()
     base = simulation.encoders.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
     skin, start = base[:3, 3], simulation.control.target_in_base
@@ -167,7 +162,7 @@ def _press(simulation: Simulation, region: str) -> F64:
     above = replace(press, points=(skin + 0.02 * UP)[None], speed_m_s=5 * PRESS_SPEED_M_S)
     hold = replace(press, hold_s=AFTER_S)
     legs = travel(start, [above, hold], travel_height_m=float(skin[2]) + CLEARANCE_M)[:-1]
-    return np.array(list(sample(legs, start, control_hz=CONTROL_HZ)))
+    return np.array(list(sample(legs, start)))
 
 
 def touches(samples: list[Samples]) -> bool:
@@ -176,15 +171,12 @@ def touches(samples: list[Samples]) -> bool:
 
 def _skin_in_world(simulation: Simulation, region: str) -> F64:
     """Return the highest place (3,) [m] of the shell near the region's middle, where the hand does not touch a large
-    chest.
-    """
+    chest."""
     vertices = skin_points(simulation, region)
     middle = simulation.data.site(f"region_{region}").xpos
     near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M
     return np.array([*middle[:2], vertices[near, 2].max()])
 
-
-# Runs the audit's trials through the product's own ``run_trial`` and keeps a raw log beside them.
 
 Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
 
@@ -209,8 +201,6 @@ class Message:
 
 @dataclass(kw_only=True)
 class Watched:
-    """One audited trial."""
-
     policy: str
     """Name of the policy whose card was shown."""
     task_id: str
@@ -230,7 +220,7 @@ class Watched:
     """Number of physics steps before each observation, by the simulator's own clock; it covers all observations."""
     look_times_s: list[float] = field(default_factory=list[float])
     """Time of each observation, as it was sent."""
-    told: dict[str, Any] = field(default_factory=dict[str, Any])
+    received: dict[str, Any] = field(default_factory=dict[str, Any])
     """Everything that had reached the process of a witness by the time of its reset."""
 
     @property
@@ -254,7 +244,6 @@ class Watched:
         return sum(0 < steps <= len(force_n) and bool(force_n[steps - 1]) for steps in self.look_steps)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the trial was, and how many of its observations the audit saw."""
         return {
             "policy": self.policy, "task": self.task_id, "observations": len(self.look_times_s),
             "recomputed": self.kept, "in_contact": self.looks_in_contact,
@@ -304,38 +293,35 @@ def watch(
             write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent, state=state)
 
     try:
-        recording = watched.recording = run_trial(
-            spec, policy=setup, prepare=prepared, on_look=on_look, on_sent=on_sent
-        )
+        recording = run_trial(spec, policy=setup, prepare=prepared, on_look=on_look, on_sent=on_sent)
     except CarecontactError as error:
         watched.error = str(error)
         return watched
-    failure = recording.header.failure
+    watched.recording, failure = recording, recording.header.failure
     if recording.header.ended == "process_failure" and failure is not None:
         watched.error = failure.message
-    card = watched.card
-    protocol = with_draws_of(spec.protocol, drawn[-1]) if drawn else spec.protocol
-    if log is not None and watched.looks and card is not None:
-        scene, robot, known = (
-            protocol.scene,
-            protocol.scene.robot,
-            calibration(spec.protocol, spec.seed, salt=spec.salt),
-        )
-        write_meta(
-            log,
-            Meta(
-                policy=policy, instruction=watched.instruction, arguments=dict(card.arguments),
-                modalities=card.modalities, cameras=card.cameras,
-                tcp_in_hand_m=(0.0, 0.0, robot.tcp_z_m),
-                calibration={name: error.tolist() for name, error in known.items()},
-                cell={
-                    "arm": robot.source.name if isinstance(robot.source, Baked) else "",
-                    "robot_base_m": scene.robot_base_m, "robot_yaw_deg": scene.robot_yaw_deg,
-                    "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},
-                },
-            ),
-            spec,
-        )  # fmt: skip
+    card, protocol = watched.card, with_draws_of(spec.protocol, drawn[-1]) if drawn else spec.protocol
+    if log is None or not watched.looks or card is None:
+        return watched
+    scene, robot = protocol.scene, protocol.scene.robot
+    known = calibration(spec.protocol, spec.seed, salt=spec.salt)
+    cell = {
+        "arm": robot.source.name if isinstance(robot.source, Baked) else "",
+        "robot_base_m": scene.robot_base_m,
+        "robot_yaw_deg": scene.robot_yaw_deg,
+        "cameras": {name: camera.model_dump() for name, camera in protocol.cameras.items()},
+    }
+    meta = Meta(
+        policy=policy,
+        instruction=watched.instruction,
+        modalities=card.modalities,
+        cameras=card.cameras,
+        tcp_in_hand_m=(0.0, 0.0, robot.tcp_z_m),
+        cell=cell,
+        calibration={name: error.tolist() for name, error in known.items()},
+        arguments=dict(card.arguments),
+    )
+    write_meta(log, meta, spec)
     return watched
 
 
@@ -351,23 +337,19 @@ def press(
 ) -> Watched:
     """Run a trial of the witness, which requests the card's modalities and plays poses (n, 7) at CONTROL_HZ.
 
-    ``folder``: where the witness's process finds its task and writes what it was told. Trials that are to be compared
+    ``folder``: where the witness's process finds its task and writes what it received. Trials that are to be compared
     must have the same folder, since its path reaches the policy.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{WITNESS.partition(':')[0]}.py").write_text(_WITNESS_SOURCE)
-    task = {
-        "card": codec.encode_card(card), "control_hz": CONTROL_HZ, "poses": poses.tolist(),
-        "actions_per_look": actions_per_look,
-    }  # fmt: skip
+    task = {"card": codec.encode_card(card), "poses": poses.tolist()}
+    task |= {"control_hz": CONTROL_HZ, "actions_per_look": actions_per_look}
     (folder / TASK).write_text(json.dumps(task))
-    told = folder / TOLD
-    told.unlink(missing_ok=True)
-    watched = watch(
-        spec.model_copy(update={"policy": WITNESS}),
-        policy=card.name, prepare=prepare, log=log,
-        setup=replace(PolicySetup.of(WITNESS, search_path=[str(folder)]), writable=(str(folder),)),
-    )  # fmt: skip
-    if told.is_file():
-        watched.told = json.loads(told.read_text())
+    received = folder / RECEIVED_FILE
+    received.unlink(missing_ok=True)
+    setup = replace(PolicySetup.of(WITNESS, search_path=[str(folder)]), writable=(str(folder),))
+    spec = spec.model_copy(update={"policy": WITNESS})
+    watched = watch(spec, policy=card.name, prepare=prepare, log=log, setup=setup)
+    if received.is_file():
+        watched.received = json.loads(received.read_text())
     return watched

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from types import FrameType
 
 from carecontact import __version__
-from carecontact.cli.console import drop_if_gone, drop_output, prepare_streams
+from carecontact.cli import console
+from carecontact.cli.console import OPTION, drop_if_gone, drop_output, only_json, prepare_streams, print_error
 from carecontact.errors import CarecontactError, ConfigError
 
 REPEATABLE = ("--set", "--policy-arg", "--policy-env", "--policy-read", "--policy-write", "--tissue", "--region")
 """Options that a command line may hold several times."""
-STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
+STOPPING = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 INTERRUPTED = 130
 """Exit status after SIGINT: 128 plus the signal's number, as shells count."""
 
@@ -30,56 +31,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"carecontact {__version__}")
         return 0
-    from carecontact.cli.console import OPTION, only_json
-
     as_json = OPTION in arguments
-    command = _Command()
+    command = _CommandLine()
     try:
         with only_json(as_json):
             return command.run(arguments)
     except CarecontactError as error:
-        print(_error_line(str(error)), file=sys.stderr)
-        return _ended(as_json, type(error).__name__, str(error), 2)
+        return _fail(as_json, type(error).__name__, str(error))
     except OSError as error:
         from carecontact.recording.file import REMEDY, is_full
 
         place = error.filename2 or error.filename or ("standard output or a file" if is_full(error) else None)
-        told = f"{place}: {error.strerror}" if place and error.strerror else str(error)
-        told = f"{told}; {REMEDY}" if is_full(error) else told
-        print(_error_line(told), file=sys.stderr)
-        return _ended(as_json, type(error).__name__, told, 2)
+        message = f"{place}: {error.strerror}" if place and error.strerror else str(error)
+        return _fail(as_json, type(error).__name__, f"{message}; {REMEDY}" if is_full(error) else message)
     except (ImportError, AttributeError, RuntimeError) as error:
         if _module_of(error) not in ("mujoco", "OpenGL"):
             raise
         from carecontact.sim.opengl import choose_backend
 
-        told = f"OpenGL: {error}; `carecontact doctor` says what is wrong"
+        message = f"OpenGL: {error}; `carecontact doctor` says what is wrong"
         try:
             choose_backend()
         except CarecontactError as better:
-            told = str(better)
-        print(_error_line(told), file=sys.stderr)
-        return _ended(as_json, "DependencyError", told, 2)
+            message = str(better)
+        return _fail(as_json, "DependencyError", message)
     except KeyboardInterrupt:
-        print(f"\ninterrupted{command.left}", file=sys.stderr)
-        return _ended(as_json, "Interrupted", f"interrupted{command.left}", INTERRUPTED)
+        message = f"interrupted{command.left}"
+        print(f"\n{message}", file=sys.stderr)
+        return _end(as_json, "Interrupted", message, INTERRUPTED)
 
 
-class _Command:
+class _CommandLine:
     """One command line that is parsed and called."""
 
     left = ""
     """What an interruption leaves behind, once that is known."""
 
     def run(self, arguments: Sequence[str]) -> int:
-        from carecontact.cli.parsing import parse, with_synonyms
+        from carecontact.cli.parsing import parse
 
         _stop_as_interrupted()
-        _readable(arguments)
-        arguments = with_synonyms(arguments)
-        _once(arguments)
+        _check_text(arguments)
+        _check_repeated(arguments)
+        console.typed[:] = arguments
         command = parse(arguments)
-        self.left = command.after_interrupt
+        self.left = getattr(command, "after_interrupt", "")
         status = command()
         print(end="", flush=True)
         return status
@@ -94,19 +90,23 @@ def _module_of(error: BaseException) -> str:
     return "" if place is None else str(place.tb_frame.f_globals.get("__name__")).partition(".")[0]
 
 
-def _ended(as_json: bool, error: str, message: str, status: int) -> int:
-    """Tell a program that reads JSON why the command ended, and return the exit status."""
-    from carecontact.cli.console import print_error
+def _fail(as_json: bool, error: str, message: str) -> int:
+    red = sys.stderr.isatty() and not os.environ.get("NO_COLOR")
+    print(f"\x1b[31merror: {message}\x1b[0m" if red else f"error: {message}", file=sys.stderr)
+    return _end(as_json, error, message, 2)
 
+
+def _end(as_json: bool, error: str, message: str, status: int) -> int:
+    """Return the exit status, and tell a program that reads JSON why the command ended."""
     try:
         if as_json:
             print_error(error, message, status)
-    except OSError:  # Standard output is full, of which standard error has already told.
+    except OSError:  # Standard output is full, as standard error says already.
         drop_output(sys.stdout.fileno())
     return status
 
 
-def _readable(arguments: Sequence[str]) -> None:
+def _check_text(arguments: Sequence[str]) -> None:
     """Raises ConfigError for a name that is not valid text, which no recording, report or message could hold."""
     for text in (*arguments, os.getcwd()):
         try:
@@ -122,34 +122,24 @@ def _stop_as_interrupted() -> None:
 
     What the caller ignores, as nohup does, stays ignored.
     """
-    for number in _stopping():
+    for number in STOPPING:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # A closed terminal tells it twice, and the second time must not interrupt the cleaning up. Ctrl-C still may.
-    for each in _stopping():
+    # A closed terminal sends the signal twice, and the second must not interrupt the cleaning up. Ctrl-C still may.
+    for each in STOPPING:
         signal.signal(each, signal.SIG_IGN)
     for stream in (sys.__stdout__, sys.__stderr__):
         drop_if_gone(stream)
     raise KeyboardInterrupt
 
 
-def _stopping() -> list[signal.Signals]:
-    return [number for name in STOPPING if (number := getattr(signal, name, None)) is not None]
-
-
-def _once(arguments: Sequence[str]) -> None:
-    """Refuse a repeated option, of which the parser would silently keep the last. Raises ConfigError naming it."""
+def _check_repeated(arguments: Sequence[str]) -> None:
+    """Raises ConfigError for a repeated option, of which the parser would silently keep the last."""
     options = [argument.partition("=")[0] for argument in arguments if argument.startswith("--")]
     options = [option for option in options if option.replace("_", "-") not in REPEATABLE]
     twice = next((option for option in options if options.count(option) > 1), None)
     if twice:
         raise ConfigError(f"{twice} is given twice; give it once, followed by all of its values as --help shows")
-
-
-def _error_line(message: str) -> str:
-    if sys.stderr.isatty() and not os.environ.get("NO_COLOR"):
-        return f"\x1b[31merror: {message}\x1b[0m"
-    return f"error: {message}"

@@ -10,8 +10,6 @@ from pydantic_core import PydanticSerializationError, core_schema, to_json
 
 from carecontact.running.machine import Finding
 
-# What every answer has in common.
-
 
 class Answer(BaseModel):
     """One line of JSON on standard output. The field ``schema`` says which kind of line it is."""
@@ -61,9 +59,6 @@ def schema_of(answer: type[Answer]) -> dict[str, Any]:
     return {"$schema": Schema.schema_dialect, **made, "required": required}
 
 
-# The answer of a command that could not do its work.
-
-
 class ErrorAnswer(Answer):
     """The last line of a command that an error or an interruption ended."""
 
@@ -76,9 +71,6 @@ class ErrorAnswer(Answer):
     """Exit status of the command."""
 
 
-# The answer of `carecontact list`.
-
-
 class Name(Part):
     name: str
     meaning: str
@@ -89,9 +81,6 @@ class ListAnswer(Answer):
     kind: Annotated[Literal["carecontact-list-1"], Field(alias="schema")] = "carecontact-list-1"
     names: dict[str, list[Name]]
     """Kind of names, such as ``tasks`` -> the names of that kind."""
-
-
-# The answers of `carecontact protocol`.
 
 
 class Listed(Part):
@@ -169,17 +158,11 @@ class ProtocolFeasibleAnswer(Answer):
     seeds: list[FeasibleSeed]
 
 
-# The answer of `carecontact doctor`.
-
-
 class DoctorAnswer(Answer):
     kind: Annotated[Literal["carecontact-doctor-1"], Field(alias="schema")] = "carecontact-doctor-1"
     fine: bool
     """Whether this machine can run trials."""
     findings: list[Finding]
-
-
-# The answer of `carecontact validate`.
 
 
 class MeasureAnswer(Part):

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, ChangedProtocolGroup, Switch
+from carecontact.cli.console import console, plain_table
+from carecontact.cli.groups import ChangedProtocolGroup, Switch
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from carecontact.lab.calibration.certificate import Content, Value
     from carecontact.lab.calibration.trial import Setup
 
@@ -50,7 +53,7 @@ class Calibrate:
     """Print a file of trials to fill in, and do nothing else."""
     body: str = "man-adult"
     """Body that the simulated indenter presses; see `carecontact list bodies`."""
-    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
+    rules: ChangedProtocolGroup = field(default_factory=ChangedProtocolGroup)
     out: Path = Path("runs/calibration")
     """Folder for certificate.json, tissue.toml and calibration.png."""
     verify: Path | None = None
@@ -86,10 +89,13 @@ class Calibrate:
         if len(regions) != 1:
             regions = regions_of(self.trials, setup, valid=regions or rules.soft_regions)
         began = time.monotonic()
+
+        def show(line: str) -> None:
+            print(f"{time.monotonic() - began:6.0f} s  {line}", flush=True)
+
         made = calibrate(
-            self.trials, regions=regions, setup=setup, body=self.body, rules=rules, out=self.out,
-            on_progress=lambda line: print(f"{time.monotonic() - began:6.0f} s  {line}", flush=True),
-        )  # fmt: skip
+            self.trials, regions=regions, setup=setup, body=self.body, rules=rules, out=self.out, on_progress=show
+        )
         for certificate in made.certificates:
             _show(certificate.content)
         for path in made.written:
@@ -129,21 +135,16 @@ def _number(option: str, given: str, text: str) -> float:
 
 
 def _verify(trials: Sequence[Path], path: Path) -> int:
-    from rich.console import Console
-    from rich.table import Table
-
     from carecontact.lab.calibration.certificate import read_certificate
     from carecontact.lab.calibration.verify import verify
 
     certificate = read_certificate(path)
     checks = verify(trials, certificate)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for header in ("", "certified", "here", ""):
-        table.add_column(header)
+    table = plain_table("", "certified", "here", "result", left=("certified", "here", "result"))
     for check in checks:
         verdict = ("ok" if check.fine else "FAIL") if check.decides else ("same" if check.fine else "differs")
         table.add_row(check.name, check.certified, check.here, verdict)
-    Console(highlight=False, width=None if Console().is_terminal else 120).print(table)
+    console(120).print(table)
     failed = [check for check in checks if check.decides and not check.fine]
     print(f"the certificate was {'not ' if failed else ''}reproduced on this machine")
     _print_verdict(certificate.content)
@@ -159,17 +160,11 @@ def _print_verdict(content: Content) -> None:
 
 
 def _show(content: Content) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from carecontact.lab.calibration.certificate import beyond
 
-    console = Console(highlight=False, width=None if Console().is_terminal else 120)
-
     def table(title: str, *headers: str) -> Table:
-        made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-        for number, header in enumerate(headers):
-            made.add_column(header, justify="left" if number == 0 else "right")
+        made = plain_table(*headers)
+        made.title = title
         return made
 
     laws = table("identified response", "law", "formula", "residual", "left out", "AICc - best")
@@ -197,11 +192,12 @@ def _show(content: Content) -> None:
     for one in content.speeds:
         work = "-" if one.work_error is None else f"{one.work_error:+.1%}"
         speeds.add_row(f"{one.speed_mm_s:g}", str(one.trials), f"{one.nrmse:.1%}", f"{one.tangent_error:+.1%}", work)
+    terminal = console(120)
     for one in (laws, fitted, errors, speeds):
-        console.print(one)
-        console.print()
+        terminal.print(one)
+        terminal.print()
     for note in content.notes:
-        console.print(f"note: {note}", markup=False)
+        terminal.print(f"note: {note}")
 
 
 def _numbers(value: Value, style: str) -> tuple[str, str]:

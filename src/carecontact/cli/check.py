@@ -1,5 +1,4 @@
-"""Before a run: ``check`` tries a policy on one observation, ``look`` draws what it sees, ``doctor`` says whether this
-machine can run trials."""
+"""Before a run: ``check`` tries a policy on one observation, ``doctor`` says whether this machine can run trials."""
 
 from __future__ import annotations
 
@@ -9,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, JsonGroup, PolicyGroup, RulesGroup, SaltGroup, Switch, VisionGroup
-from carecontact.errors import counted
+from carecontact.cli.console import print_answer
+from carecontact.cli.groups import JsonGroup, PolicyGroup, RulesGroup, Switch, VisionGroup, check_trial
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
-    from carecontact.running.trial import CheckFinding
-
-
-# ``carecontact check``: try a policy on one observation before a run.
+    from carecontact.running.check_answers import CheckFinding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +28,7 @@ class Check:
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
     ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
     servers)."""
-    given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
+    given: PolicyGroup = field(default_factory=PolicyGroup)
     task: str | None = None
     """Task whose instruction and first observation the policy is given; default: the protocol's first."""
     seed: int | None = None
@@ -42,18 +39,16 @@ class Check:
     """Check a policy's server no deeper than a policy that starts here."""
     pictures: Path = Path("check-pictures.png")
     """PNG file for the pictures that are sent, of the deep check."""
-    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
-    vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    rules: RulesGroup = field(default_factory=RulesGroup)
+    vision: VisionGroup = field(default_factory=VisionGroup)
 
     after_interrupt: ClassVar[str] = "; the policy ends, too"
 
     def __call__(self) -> int:
         """Return 1 if a run cannot work. Raises ConfigError for what does not exist."""
-        from carecontact.cli.groups import check_trial
         from carecontact.cli.policy import policy_setup, suggestion, with_vision
-        from carecontact.errors import ConfigError
         from carecontact.protocol.load import load_protocol
-        from carecontact.running.check_answers import check_sheet_path
+        from carecontact.running.check_messages import check_sheet_path
         from carecontact.running.machine import check_ready
         from carecontact.runs.identity import check_frozen
         from carecontact.runs.plan import check_protocol, plan_trials
@@ -74,10 +69,8 @@ class Check:
         check_ready()
         from carecontact.running.check import Check as Checked  # Not before, since MuJoCo comes with it.
 
-        (spec, *_) = plan_trials(
-            protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], arguments=setup.arguments,
-            environment=setup.environment,
-        )  # fmt: skip
+        given = {"arguments": setup.arguments, "environment": setup.environment}
+        (spec, *_) = plan_trials(protocol=rules, policy=setup.ref.text, tasks=[task], seeds=[seed], **given)
         often = "again and again, with one input blanked in turn" if deep else "twice"
         print(f"{setup.ref}: the first observation of {spec.trial_id}, {rules.title}, {often}", flush=True)
         check = Checked(spec=spec, policy=setup, weights=self.vision.weights, pictures=pictures, on_finding=_show)
@@ -98,73 +91,11 @@ def _show(finding: CheckFinding) -> None:
         print(f"{'':22}{line}", flush=True)
 
 
-# ``carecontact look``: a picture sheet of what a policy sees when a trial begins.
-
-if TYPE_CHECKING:
-    pass
-
-
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    """Draw on one sheet everything that a policy can receive when a trial begins: every camera and every modality."""
-
-    task: str
-    """Task of the protocol, such as T1."""
-    seed: int = 0
-    """Seed of the protocol."""
-    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
-    tool: str | None = None
-    """What the robot's hand wears in place of the protocol's: rigid `caps` over the fingertips, or a soft wash `mitt`.
-    The sheet names this change."""
-    vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
-    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
-    out: Path | None = None
-    """Picture to write, .png, .jpg or .pdf; default: look-TASK-sSEED.png in the current folder."""
-
-    after_interrupt: ClassVar[str] = "; nothing was written"
-
-    def __call__(self) -> int:
-        """Raises ConfigError for a task or seed that the protocol does not have."""
-        from carecontact.cli.groups import check_trial
-        from carecontact.cli.policy import with_vision
-        from carecontact.interface.observation import MODALITIES
-        from carecontact.interface.policy import CAMERAS, PolicyCard
-        from carecontact.protocol.load import load_protocol
-        from carecontact.report.look_sheet import check_sheet_path, save_sheet
-        from carecontact.running.machine import check_ready
-        from carecontact.runs.plan import check_protocol
-
-        loaded = load_protocol(self.rules.protocol, level=self.rules.level)
-        rules = self.rules.changed(loaded, tool={} if self.tool is None else {"scene.tool": self.tool})
-        rules = with_vision(rules, self.vision)
-        check_trial(rules, task=self.task, seed=self.seed)
-        trial = f"{self.task}-s{self.seed:03d}"
-        path = check_sheet_path(self.out or Path(f"look-{trial}.png"))
-        check_protocol(rules)
-        check_ready()
-        from carecontact.episode.episode import first_look  # Not before, since MuJoCo comes with it.
-
-        card = PolicyCard(name="look", modalities=MODALITIES, cameras=CAMERAS)
-        observation = first_look(
-            rules, task_id=self.task, seed=self.seed, card=card, weights=self.vision.weights, salt=self.salted.salt
-        )
-        name = rules.task(self.task).name
-        title = f"{self.task} {name}, seed {self.seed}, {rules.title} (the policy does not receive this line)"
-        save_sheet(observation, path, title=title)
-        print(f"{path}: {self.task} seed {self.seed}, {len(CAMERAS)} cameras")
-        return 0
-
-
-# ``carecontact doctor``: can this machine run trials, and if not, which command installs what is missing.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Doctor:
     """Check that this machine can run trials. If something is missing, print the command that installs it."""
 
-    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
-
-    after_interrupt: ClassVar[str] = ""
+    output: JsonGroup = field(default_factory=JsonGroup)
 
     def __call__(self) -> int:
         """Return 1 if something that a trial needs failed."""
@@ -182,7 +113,6 @@ class Doctor:
         print("this machine can run trials" if not failed else f"{counted(failed, 'thing')} to fix", flush=True)
         if self.output.json:
             from carecontact.cli.answers import DoctorAnswer
-            from carecontact.cli.console import print_answer
 
             print_answer(DoctorAnswer(fine=not failed, findings=found))
         return 1 if failed else 0

@@ -1,4 +1,5 @@
-"""How the command prints: streams, the terminal, lines of JSON, and the end of a policy's failure."""
+"""What every command prints with: streams, tables, lines of JSON, the command line itself, and the end of a policy's
+failure."""
 
 from __future__ import annotations
 
@@ -6,10 +7,13 @@ import contextlib
 import errno
 import io
 import os
+import re
 import select
+import shlex
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
@@ -19,8 +23,6 @@ if TYPE_CHECKING:
 
     from carecontact.cli.answers import Answer
 
-
-# Standard output and standard error of a command whose terminal or reader may be absent, or go away.
 
 GONE = (errno.EIO, errno.EPIPE, errno.ECONNRESET)
 """Errors of writing to a terminal, a pipe and a socket of which the other end is closed."""
@@ -74,23 +76,37 @@ def drop_output(number: int) -> None:
 
 
 def drop_if_gone(stream: TextIO | None) -> None:
-    """Drop further output if the terminal is gone or nobody reads the pipe any more, so that printing does not fail.
+    """Drop further output if the terminal is gone or no one reads the pipe any more, so that printing does not fail.
 
     The function asks the system and writes nothing, because a terminal that is full and not read would keep the writer
     waiting."""
     if stream is None:
         return
     watch = select.poll()
-    # Without any event asked for, only hang-ups and errors are told.
+    # Without any event asked for, poll reports hang-ups and errors only.
     watch.register(stream.fileno(), 0)
     if watch.poll(0):
         drop_output(stream.fileno())
 
 
-# The terminal that tables are printed to.
+typed: list[str] = []
+"""The command line, without the name of the program."""
 
 
-def console(width: int) -> Console:
+def same_command(out: Path) -> str:
+    """Return the command line that goes on with a run: without --restart and passwords, and with the folder that the
+    command chose where the line names none."""
+    named = any(argument.partition("=")[0] == "--out" for argument in typed)
+    kept = [without_secret(argument) for argument in typed if argument != "--restart"]
+    return shlex.join(["carecontact", *kept, *([] if named else ["--out", str(out)])])
+
+
+def without_secret(address: str) -> str:
+    """Return an address without the user and password that it may name."""
+    return re.sub(r"//[^/@]*@", "//", address)
+
+
+def console(width: int = 140) -> Console:
     """Return a console as wide as the terminal or as the variable COLUMNS says.
 
     Args:
@@ -102,11 +118,19 @@ def console(width: int) -> Console:
     return Console(highlight=False, markup=False, width=None if known else width)
 
 
-def plain_table() -> Table:
-    """Return a table with bold headings and without lines."""
+def plain_table(*headers: str, left: Collection[str] = ()) -> Table:
+    """Return a table with bold headings and without lines.
+
+    Args:
+        headers: of the columns, which are flush right except for the first.
+        left: headers of further columns that are flush left.
+    """
     from rich.table import Table
 
-    return Table(box=None, pad_edge=False, header_style="bold")
+    table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left", title_style="bold")
+    for number, header in enumerate(headers):
+        table.add_column(header, justify="left" if not number or header in left else "right")
+    return table
 
 
 def p_text(value: float | None) -> str:
@@ -153,8 +177,6 @@ def print_error(error: str, message: str, status: int) -> None:
     print_answer(ErrorAnswer(error=error, message=message, status=status))
 
 
-# The end of a policy's failure as a terminal shows it.
-
 TRACE_LINES, PRINTED_LINES = 6, 4
 """Number of last lines of a traceback, and of what the policy printed, that are shown. The report has all lines."""
 
@@ -167,18 +189,17 @@ def excerpt(message: str) -> list[str]:
     from carecontact.recording.reason import PRINTED, TRACEBACK
     from carecontact.serving.conversation import readable
 
-    said, _, printed = readable(message).partition(PRINTED)
-    _, _, trace = said.partition("\n")
-    lines = _last(trace, TRACE_LINES)
+    failure, _, printed = readable(message).partition(PRINTED)
+    lines = _last(failure.splitlines()[1:], TRACE_LINES)
     if len([line for line in lines if line != TRACEBACK]) < 2:
         # Of a traceback that only had frames of ours, the exception alone is left: the reason, which stands above.
         lines = []
     if printed:
-        lines += ["it printed last:", *_last(printed, PRINTED_LINES)]
+        lines += ["it printed last:", *_last(printed.splitlines(), PRINTED_LINES)]
     return [f"  | {line}" for line in lines]
 
 
-def _last(text: str, most: int) -> list[str]:
+def _last(lines: Sequence[str], most: int) -> list[str]:
     # Neither empty lines nor those in which a traceback only underlines.
-    lines = [line for line in text.splitlines() if line.strip(" ~^")]
-    return lines if len(lines) <= most else ["...", *lines[-most:]]
+    kept = [line for line in lines if line.strip(" ~^")]
+    return kept if len(kept) <= most else ["...", *kept[-most:]]

@@ -1,4 +1,4 @@
-"""``carecontact export`` and ``paper``: a dataset of what a policy saw and did, and the paper's tables and figures."""
+"""``carecontact export``: a dataset of what a policy saw and did, and the paper's tables and figures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from carecontact.cli.groups import Switch
+from carecontact.cli.groups import Switch, check_folder, need_recordings, read_run
 from carecontact.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
@@ -18,20 +18,17 @@ if TYPE_CHECKING:
     from carecontact.runs.pooling import RunScores
 
 
-# ``carecontact export``: a dataset of what a policy saw and did.
-
-
 @dataclass(frozen=True, kw_only=True)
-class Export:
-    """Write what the policy of a run saw and did as a dataset for training, one episode for each trial. Nothing that
-    only the scorer sees is in it, unless you ask for it."""
+class Lerobot:
+    """Write what the policy of a run saw and did as a LeRobotDataset for training, one episode for each trial. Nothing
+    that only the scorer sees is in it, unless you ask for it."""
 
-    form: Annotated[Literal["lerobot", "lerobot-v2.1"], tyro.conf.Positional]
-    """Format of the dataset: lerobot is LeRobotDataset v3.0, lerobot-v2.1 the earlier format that openpi reads."""
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a run with its recordings."""
     out: Path
     """Folder for the dataset; it must not exist yet."""
+    form: Literal["v3.0", "v2.1"] = "v3.0"
+    """Version of the format; openpi reads v2.1."""
     only: Literal["all", "success", "region-correct", "safety-gated"] = "all"
     """Trials to export, by the scores in results.json."""
     with_force: Switch = False
@@ -57,8 +54,7 @@ class Export:
                 left_out += 1
                 print(f"left out: {error}")
                 continue
-            version = "v2.1" if self.form == "lerobot-v2.1" else "v3.0"
-            dataset = dataset or Dataset(folder=self.out, robot=recording.header.embodiment, version=version)
+            dataset = dataset or Dataset(folder=self.out, robot=recording.header.embodiment, version=self.form)
             dataset.add(episode, name=trial_id)
             print(f"{trial_id}: {len(episode)} rows at {episode.fps} fps", flush=True)
         if dataset is None:
@@ -69,7 +65,6 @@ class Export:
 
     def _trials(self) -> list[str]:
         """Return the recordings to export. Raises ConfigError if there are none."""
-        from carecontact.cli.score import need_recordings
         from carecontact.runs.scoring import read_scores
 
         need_recordings(self.run)
@@ -80,9 +75,6 @@ class Export:
         if not found:
             raise ConfigError(f"{self.run}: no trial is {self.only}; without --only, all trials are exported")
         return found
-
-
-# ``carecontact paper``: the paper's tables and figures, made from runs.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,15 +93,13 @@ class Paper:
 
     def __call__(self) -> int:
         """Raises ConfigError for runs that cannot be read or must not stand in one table."""
-        from carecontact.cli.groups import read_run
         from carecontact.report.comparison import check_complete, check_different
         from carecontact.report.paper import remove_earlier, tables_of, write_tables
         from carecontact.runs.pooling import rejected_text
 
         if not self.runs:
             raise ConfigError("expected one or more runs; name their folders")
-        if self.out.exists() and not self.out.is_dir():
-            raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        check_folder(self.out)
         check_different(self.runs)
         runs = [read_run(path) for path in self.runs]
         check_complete({str(path): run for path, run in zip(self.runs, runs, strict=True)})
@@ -117,8 +107,7 @@ class Paper:
             print(f"warning: {line}")
         protocol = _protocol(self.runs, runs)
         if protocol is None:
-            print("no recording and no shipped protocol says what these runs ran: the tables of tasks and protocol are "
-                  "left out")  # fmt: skip
+            print("the tables of tasks and protocol are left out: no recording and no shipped protocol has the rules")
         written = write_tables(tables_of(runs, protocol), self.out / "tables")
         if not self.no_figures:
             written += self._figures(runs)

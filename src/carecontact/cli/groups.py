@@ -1,14 +1,13 @@
-"""Options that several commands share, as fields of the type ``Annotated[Group, FLAT]``, and what they name: one trial,
-a place, stored scores."""
+"""Options that several commands share, with the heading of their box in the help, and what they name: one trial, a
+place, stored scores."""
 
 from __future__ import annotations
 
 import shlex
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -19,23 +18,27 @@ if TYPE_CHECKING:
     from carecontact.runs.pooling import RunScores
 
 
-# Groups of options that several commands share, as fields of the type ``Annotated[Group, FLAT]``.
-
-FLAT = tyro.conf.arg(name="")
-"""Marks a group whose options keep their own names, without the name of the field that holds the group."""
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help="The --out folder of a run.")]
+Verbose = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-v"])]
 
 
 @dataclass(frozen=True, kw_only=True)
 class JsonGroup:
+    heading: ClassVar = "output"
     json: Switch = False
     """For programs: print JSON on standard output, one object a line, and everything else on standard error (see
     docs/json.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
+class VerboseGroup(JsonGroup):
+    verbose: Verbose = False
+    """Also print medians, counts, limits, speed and the files that were written."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProtocolGroup:
+    heading: ClassVar = "protocol"
     protocol: str = "bathing-v3-draft"
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
     level: str | None = None
@@ -82,14 +85,15 @@ class ChangedProtocolGroup(ProtocolGroup):
         return rules
 
     def _set(self) -> dict[str, object]:
-        pairs = [text.partition("=") for text in self.changes]
-        wrong = [text for text, (path, equals, _) in zip(self.changes, pairs, strict=True) if not (path and equals)]
-        if wrong:
-            raise ConfigError(f"--set {wrong[0]}: expected FIELD=VALUE, for example --set physics.dt_s=0.004")
-        twice = [path for path, count in Counter(path for path, _, _ in pairs).items() if count > 1]
-        if twice:
-            raise ConfigError(f"--set: {twice[0]} is replaced twice; give it once")
-        return {path: value for path, _, value in pairs}
+        found: dict[str, object] = {}
+        for text in self.changes:
+            path, equals, value = text.partition("=")
+            if not path or not equals:
+                raise ConfigError(f"--set {text}: expected FIELD=VALUE, for example --set physics.dt_s=0.004")
+            if path in found:
+                raise ConfigError(f"--set: {path} is replaced twice; give it once")
+            found[path] = value
+        return found
 
     def _others(self) -> dict[str, Mapping[str, object]]:
         return {}
@@ -122,6 +126,7 @@ def check_body(name: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsGroup:
+    heading: ClassVar = "physics"
     tissue: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Tissue in place of the protocol's: a name from `carecontact list tissue` or a .toml file that `carecontact
     calibrate` wrote. Repeat the option for files of other regions."""
@@ -153,6 +158,7 @@ class PhysicsGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class VisionGroup:
+    heading: ClassVar = "vision"
     segmenter: Literal["mediapipe", "grounded-sam"] | None = None
     """Model that makes the masks of the person; default: the one in the protocol (shipped protocols: mediapipe).
     Landmarks always come from mediapipe. See docs/perception.md."""
@@ -161,13 +167,8 @@ class VisionGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JobsGroup:
-    jobs: int | None = None
-    """Number of trials that run at once; default: one per core."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class EngineGroup:
+    heading: ClassVar = "engine"
     engine: Literal["local", "ray"] = "local"
     """Where the trials run: on this machine, or on the nodes of the Ray cluster that RAY_ADDRESS names (see
     docs/cluster.md)."""
@@ -181,10 +182,11 @@ class EngineGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class SaltGroup:
+    heading: ClassVar = "salt"
     salt_file: Path | None = None
-    """File with a secret from `carecontact salt make`, on which every draw of every trial then depends, so that nobody
-    knows beforehand which person a seed has. A run states the secret's sha256 before its first trial; its parts, if it
-    has any, need the same file."""
+    """File with a secret from `carecontact protocol salt make`, on which every draw of every trial then depends, so
+    that no one knows beforehand which person a seed has. A run states the secret's sha256 before its first trial; its
+    parts, if it has any, need the same file."""
 
     @property
     def salt(self) -> str:
@@ -202,6 +204,7 @@ class SaltGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class ArgumentsGroup:
+    heading: ClassVar = "policy"
     policy_arg: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
     """Argument for the policy's constructor; `carecontact list policies` shows those of registered policies. Repeat the
     option for more. The recordings of a run store name and value."""
@@ -226,30 +229,25 @@ class PolicyGroup(ArgumentsGroup):
     replay:FILE.jsonl can repeat them."""
 
 
-# The options --task and --seed of commands that look at one trial.
-
-
-def check_trial(rules: Protocol, *, task: str, seed: int) -> None:
-    """Check the options. Raises ConfigError for a task or seed that the protocol does not have."""
-    ids = [row.id for row in rules.tasks]
-    if task not in ids:
-        meant = did_you_mean(task, ids)
-        raise ConfigError(f"--task: {task!r} is not a task of {rules.id}{meant}; valid: {', '.join(ids)}")
-    check_seed(rules, seed=seed)
-
-
-def check_seed(rules: Protocol, *, seed: int) -> None:
-    """Check the option. Raises ConfigError for a seed that the protocol does not have."""
+def check_trial(rules: Protocol, *, seed: int, task: str | None = None) -> None:
+    """Check --seed, and --task where a command has it. Raises ConfigError for what the protocol does not have."""
     from carecontact.runs.plan import compact
 
+    ids = [row.id for row in rules.tasks]
+    if task is not None and task not in ids:
+        meant = did_you_mean(task, ids)
+        raise ConfigError(f"--task: {task!r} is not a task of {rules.id}{meant}; valid: {', '.join(ids)}")
     if seed not in rules.randomization.seeds:
         raise ConfigError(f"--seed: {seed} is not a seed of {rules.id}; valid: {compact(rules.randomization.seeds)}")
 
 
-# The place of a file that a command writes.
+def check_folder(out: Path | None) -> None:
+    """Raises ConfigError where the --out folder of a command is a file."""
+    if out is not None and out.exists() and not out.is_dir():
+        raise ConfigError(f"--out {out}: this is a file; name a folder")
 
 
-def make_place(target: Path) -> None:
+def make_folder_of(target: Path) -> None:
     """Make the folder in which a file is to be written. Raises ConfigError where that cannot be done, and where the
     file's name is that of a folder."""
     if target.is_dir():
@@ -257,11 +255,21 @@ def make_place(target: Path) -> None:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        told = "this is a file" if isinstance(error, FileExistsError) else error.strerror
-        raise ConfigError(f"{target}: no folder can be made for it: {error.filename}: {told}") from None
+        why = "this is a file" if isinstance(error, FileExistsError) else error.strerror
+        raise ConfigError(f"{target}: no folder can be made for it: {error.filename}: {why}") from None
 
 
-# Read the scores of a run for a command that shows them.
+def need_recordings(folder: Path) -> None:
+    """Check a run's folder. Raises ConfigError if it does not exist or holds no recordings."""
+    if folder.is_file():
+        raise ConfigError(f"{folder}: this is a file; name the --out of a run")
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; name the --out of a run")
+    if not any(folder.glob("*.h5")):
+        from carecontact.runs.scoring import misnamed
+
+        other = "".join(f"; {path.name} does not end in .h5" for path in misnamed(folder)[:1])
+        raise ConfigError(f"{folder}: holds no recordings (*.h5); name the --out of a run{other}")
 
 
 def read_run(run: Path, *, rescore: bool | None = None) -> RunScores:
@@ -276,6 +284,6 @@ def read_run(run: Path, *, rescore: bool | None = None) -> RunScores:
 
     scores = read_scores(run, rescore=bool(rescore), otherwise="" if rescore is None else ", or add --rescore")
     if any(run.glob("*.h5")) and (absent := lacking(scores)):
-        command = f"carecontact score {shlex.quote(str(run))} --append"
+        command = f"carecontact report --rescore {shlex.quote(str(run))} --append"
         print(f"{run} was scored without {', '.join(absent)}; `{command}` adds what is missing")
     return scores

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, JsonGroup, ProtocolGroup
+from carecontact.cli.groups import JsonGroup, ProtocolGroup
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,33 +24,19 @@ class List:
 
     what: Annotated[
         Literal[
-            "tasks",
-            "actions",
-            "regions",
-            "segments",
-            "spaces",
-            "controls",
-            "robots",
-            "policies",
-            "protocols",
-            "bodies",
-            "tissue",
-            "metrics",
-            "limits",
-            "all",
+            "tasks", "actions", "regions", "segments", "spaces", "controls", "robots", "policies", "protocols",
+            "bodies", "tissue", "metrics", "limits", "all",
         ],
         tyro.conf.Positional,
-    ] = "all"
+    ] = "all"  # fmt: skip
     """Kind of names to list."""
-    rules: Annotated[ProtocolGroup, FLAT] = field(default_factory=ProtocolGroup)
-    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
-
-    after_interrupt: ClassVar[str] = ""
+    rules: ProtocolGroup = field(default_factory=ProtocolGroup)
+    output: JsonGroup = field(default_factory=JsonGroup)
 
     def __call__(self) -> int:
         kinds = list(KINDS) if self.what == "all" else [self.what]
         if self.output.json:
-            _say(kinds, protocol=self.rules.protocol)
+            self._answer(kinds)
             return 0
         indent = "  " if self.what == "all" else ""
         for kind in kinds:
@@ -62,14 +48,13 @@ class List:
                 print(f"{indent}{name:{width}} {meaning}".rstrip())
         return 0
 
+    def _answer(self, kinds: Sequence[str]) -> None:
+        from carecontact.cli.answers import ListAnswer, Name
+        from carecontact.cli.console import print_answer
 
-def _say(kinds: Sequence[str], *, protocol: str) -> None:
-    from carecontact.cli.answers import ListAnswer, Name
-    from carecontact.cli.console import print_answer
-
-    rows = {kind: KINDS[kind](protocol) for kind in kinds}
-    names = {kind: [Name(name=name, meaning=meaning) for name, meaning in of_kind] for kind, of_kind in rows.items()}
-    print_answer(ListAnswer(names=names))
+        rows = {kind: KINDS[kind](self.rules.protocol) for kind in kinds}
+        names = {kind: [Name(name=name, meaning=meaning) for name, meaning in rows[kind]] for kind in kinds}
+        print_answer(ListAnswer(names=names))
 
 
 def _tasks(protocol: str) -> list[tuple[str, str]]:
@@ -80,11 +65,11 @@ def _tasks(protocol: str) -> list[tuple[str, str]]:
 
 
 def _actions(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocol.gates import BEHAVIOURS
+    from carecontact.protocol.gates import ACTIONS
     from carecontact.protocol.load import load_protocol
 
     gates = load_protocol(protocol).gates.set
-    return _rows(BEHAVIOURS, lambda row: f"gate: {', '.join(row.under(gates).gate.model_fields) or 'no fields'}")
+    return _rows(ACTIONS, lambda row: f"gate: {', '.join(row.gate_in(gates).model_fields) or 'no fields'}")
 
 
 def _regions(protocol: str) -> list[tuple[str, str]]:

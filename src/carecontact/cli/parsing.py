@@ -8,28 +8,194 @@ import inspect
 import io
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, Protocol, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Protocol, get_args, get_origin, get_type_hints
 
 import tyro
 
 from carecontact.errors import ConfigError, did_you_mean
+
+
+class Command(Protocol):
+    """A dataclass of options. A call does the work and returns the exit status.
+
+    Its attribute ``after_interrupt``, if it has one, says what Ctrl-C has left behind, as a continuation of the word
+    "interrupted"."""
+
+    def __call__(self) -> int: ...
+
+
+class UsageError(ConfigError):
+    """The command line names an option, a value or a command that does not exist."""
+
+
+SECTIONS = {
+    "Run a policy": {
+        "check": ("check:Check", "try a policy on one observation before a run"),
+        "run": ("run:Run", "run trials of a policy, score them and write the report; --demo runs an example"),
+        "serve": ("serve:Serve", "serve a policy to runs on another host"),
+        "sweep": ("sweep:Sweep", "run several policies under many conditions, and write one table of all"),
+        "merge": ("sweep:Merge", "make one run of parts that ran on several machines"),
+    },
+    "Read results": {
+        "report": ("report:Report", "show the scores of a run, and write its report; --rescore computes them again"),
+        "compare": ("compare:Compare", "compare runs trial by trial, and set blind baselines beside them"),
+        "view": ("view:View", "look at a recorded trial: in a viewer, as a --video, at its --start, or its --notes"),
+        "export lerobot": ("export:Lerobot", "write what a policy saw and did as a dataset for training"),
+        "export paper": ("export:Paper", "write the paper's tables and figures from your runs"),
+    },
+    "Check the benchmark": {
+        "verify physics": ("verify:Physics", "check that the simulated person is physically valid"),
+        "verify leaks": ("leaks:Leaks", "check that no policy receives what it must not know"),
+        "verify metrics": ("verify:Metrics", "check that scores follow the quantities that they measure"),
+        "calibrate": ("calibrate:Calibrate", "fit the tissue to measured indentations"),
+    },
+    "Read and lock protocols": {
+        "protocol list": ("protocol:ListProtocols", "list the shipped protocols"),
+        "protocol show": ("protocol:Show", "print a protocol with its hash, its lock and its tissue"),
+        "protocol verify": ("protocol:Verify", "check that a protocol equals its lock"),
+        "protocol lock": ("protocol:Lock", "write the lock of your own protocol"),
+        "protocol feasible": ("protocol:Feasible", "check that the robot can serve every person that it draws"),
+        "protocol salt": ("protocol:Salt", "make, reveal or verify the secret of a salted run"),
+    },
+    "Look around": {
+        "list": ("names:List", "list tasks, policies, bodies, metrics and every other kind of name"),
+        "doctor": ("check:Doctor", "check that this machine can run trials"),
+    },
+}
+"""Heading of the help -> command -> module of this package with the class in it, and what the command does."""
+COMMANDS = {name: target for section in SECTIONS.values() for name, (target, _) in section.items()}
+RENAMED = {
+    "demo": "run --demo",
+    "score": "report --rescore",
+    "video": "view --video",
+    "look": "view --start",
+    "notes": "view --notes",
+    "paper": "export paper",
+    "export lerobot-v2.1": "export lerobot --form v2.1",
+    "validate": "verify physics",
+    "audit": "verify leaks",
+    "probe": "verify metrics",
+    "salt": "protocol salt",
+}
+"""Former name of a command -> how it is called now."""
+SYNONYMS = {
+    "run": {"--task": "--tasks", "--seed": "--seeds"},
+    "compare": {"--null": "--baseline"},
+    "report": {"--null": "--baseline"},
+}
+"""Command -> option that it understands -> the option that its help shows."""
+CONFIG = (tyro.conf.DisallowNone, tyro.conf.HelptextFromCommentsOff, tyro.conf.OmitArgPrefixes)
+"""Settings of the parser. The help leaves out the default None, which no one types. ``described`` gives the help texts,
+so that tyro need not look for comments in the sources."""
+
+
+def parse(arguments: Sequence[str]) -> Command:
+    """Return the command with its options, ready to call.
+
+    Prints the help and exits if the arguments request it or are empty. Raises UsageError for wrong options.
+    """
+    if arguments and arguments[0] == "help":
+        arguments = [*arguments[1:], "--help"]
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(overview())
+        raise SystemExit(0)
+    name, options = command_of(arguments)
+    known = SYNONYMS.get(name, {})
+    split = [option.partition("=") for option in options]
+    options = [known.get(option, option) + equals + value for option, equals, value in split]
+    command = command_class(name)
+    _check_options(name, command, options)
+    errors = io.StringIO()
+    try:
+        with redirect_stderr(errors):
+            return tyro.cli(command, prog=f"carecontact {name}", args=options, config=CONFIG)
+    except SystemExit as end:
+        if end.code != 2:
+            raise
+        lacking = [option for option in ("--policy", "--out") if name == "run" and option not in options]
+        raise UsageError(in_one_line(errors.getvalue(), lacking)) from None
+
+
+def command_of(arguments: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Split a command line into the command, which has one word or two, and its options.
+
+    Prints the commands and exits where the first of two words stands alone. Raises UsageError for a name that no
+    command has, and for a former name, with today's.
+    """
+    for words in (2, 1):
+        name = " ".join(arguments[:words])
+        if name in COMMANDS:
+            return name, arguments[words:]
+        if name in RENAMED:
+            raise UsageError(f"`carecontact {name}` is now `carecontact {RENAMED[name]}`")
+    first = arguments[0]
+    seconds = [name.partition(" ")[2] for name in COMMANDS if name.startswith(f"{first} ")]
+    if seconds and (len(arguments) == 1 or arguments[1] in ("-h", "--help")):
+        print(overview(first))
+        raise SystemExit(0)
+    place, given, valid = (f" {first}", arguments[1], seconds) if seconds else ("", first, _first_words())
+    raise UsageError(
+        f"carecontact{place} has no command {given!r}{did_you_mean(given, valid)}; valid: {', '.join(valid)}"
+    )
+
+
+def _first_words() -> list[str]:
+    return list(dict.fromkeys(name.partition(" ")[0] for name in COMMANDS))
+
+
+def overview(first: str = "") -> str:
+    """Return the help that lists the commands: all of them, or those that begin with one word."""
+    lines = [f"usage: carecontact {first or 'COMMAND'} ...", ""]
+    if not first:
+        lines += ["Measure whether a robot policy touches people well.", ""]
+    for heading, section in SECTIONS.items():
+        rows = [
+            f"  {name:18}{text}" for name, (_, text) in section.items() if f"{name} ".startswith(f"{first} ".lstrip())
+        ]
+        if rows:
+            lines += [heading, *rows, ""]
+    lines += [
+        "`carecontact COMMAND --help` lists the options of a command; `carecontact --version` prints the version."
+    ]
+    return "\n".join(lines)
+
+
+def command_class(name: str) -> type[Any]:
+    """Return the class of a command, with its help texts."""
+    module, _, made = COMMANDS[name].partition(":")
+    return described(getattr(import_module(f"carecontact.cli.{module}"), made))
+
 
 # What ``--help`` says of an option: its docstring as one paragraph, and its default only where that says something.
 
 
 @cache
 def described(command: type[Any]) -> type[Any]:
-    """Return the command, or a group of options, with help texts that tyro prints unchanged. A class is changed only
-    once."""
+    """Return the command, or a group of options, with help texts that tyro prints unchanged, and a box for the options
+    of each group. A class is changed only once."""
     for owner in reversed(command.__mro__):
-        if is_dataclass(owner) and isinstance(owner, type):
-            _describe(owner)
+        if not is_dataclass(owner):
+            continue
+        docs, own = _docstrings(owner), inspect.get_annotations(owner)
+        for name, hint, default in _options(owner):
+            if name not in own:
+                continue
+            if is_dataclass(_bare(hint)):
+                heading = tyro.conf.arg(name=described(_bare(hint)).heading)
+                owner.__annotations__[name] = Annotated[hint, heading]  # pyright: ignore
+            elif name in docs:
+                help_text = {"help": " ".join(docs[name].split())}
+                if default is MISSING:
+                    help_text["help_behavior_hint"] = "(required)"
+                elif default is None or default is False or default == ():
+                    help_text["help_behavior_hint"] = ""
+                owner.__annotations__[name] = Annotated[hint, tyro.conf.arg(**help_text)]  # pyright: ignore
     return command
 
 
@@ -37,47 +203,40 @@ def option_names(command: type[Any]) -> list[str]:
     """Return every option of a command as it is typed, including those of its groups. Positional arguments are left
     out."""
     names: list[str] = []
-    for field, hint in _options(command):
+    for name, hint, _ in _options(command):
         if is_dataclass(_bare(hint)):
             names += option_names(_bare(hint))
         elif tyro.conf.Positional not in get_args(hint)[1:]:
-            named = [extra.name for extra in get_args(hint)[1:] if getattr(extra, "name", None)]
-            names.append(f"--{(named or [field.name])[0].replace('_', '-')}")
+            names.append(_as_typed(name, hint))
     return names
 
 
-def positional_names(command: type[Any]) -> list[str]:
-    """Return the fields of a command that are typed without an option."""
-    return [field.name for field, hint in _options(command) if tyro.conf.Positional in get_args(hint)[1:]]
+def given_options(command: Any) -> list[str]:
+    """Return the options of a command or group, as they are typed, whose values are not the defaults."""
+    names: list[str] = []
+    for name, hint, default in _options(type(command)):
+        value = getattr(command, name)
+        if is_dataclass(value):
+            names += given_options(value)
+        elif value != default:
+            names.append(_as_typed(name, hint))
+    return names
 
 
-def _describe(owner: type[Any]) -> None:
-    docs = _docstrings(owner)
-    own = inspect.get_annotations(owner)
-    for field, hint in _options(owner):
-        if is_dataclass(_bare(hint)):
-            described(_bare(hint))
-        elif field.name in own and field.name in docs:
-            owner.__annotations__[field.name] = Annotated[hint, _text(docs[field.name], _default(field))]
+def _as_typed(name: str, hint: Any) -> str:
+    extras = get_args(hint)[1:]
+    if tyro.conf.Positional in extras:
+        return name
+    named = [extra.name for extra in extras if getattr(extra, "name", None)]
+    return f"--{(named or [name])[0].replace('_', '-')}"
 
 
-def _text(docstring: str, default: object) -> Any:
-    text = " ".join(docstring.split())
-    if default is MISSING:
-        return tyro.conf.arg(help=text, help_behavior_hint="(required)")
-    if default is None or default is False or default == ():
-        return tyro.conf.arg(help=text, help_behavior_hint="")
-    return tyro.conf.arg(help=text)
-
-
-def _default(field: Field[Any]) -> object:
-    return field.default if field.default_factory is MISSING else field.default_factory()
-
-
-def _options(owner: type[Any]) -> Iterator[tuple[Field[Any], Any]]:
+def _options(owner: type[Any]) -> Iterator[tuple[str, Any, object]]:
+    """Yield name, type and default of each field of a command."""
     hints = get_type_hints(owner, include_extras=True)
     for field in fields(owner):
-        yield field, hints[field.name]
+        default = field.default if field.default_factory is MISSING else field.default_factory()
+        yield field.name, hints[field.name], default
 
 
 def _bare(hint: Any) -> Any:
@@ -91,66 +250,17 @@ def _parsed(module: ModuleType) -> ast.Module:
 
 def _docstrings(owner: type[Any]) -> dict[str, str]:
     """Return each field -> the docstring under it. The class must be at the top level of its module."""
-    made = next(
-        node for node in _parsed(sys.modules[owner.__module__]).body
-        if isinstance(node, ast.ClassDef) and node.name == owner.__name__
-    )  # fmt: skip
+    body = _parsed(sys.modules[owner.__module__]).body
+    made = next(node for node in body if isinstance(node, ast.ClassDef) and node.name == owner.__name__)
     found: dict[str, str] = {}
-    for node, after in zip(made.body, made.body[1:], strict=False):
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(after, ast.Expr):
-            if isinstance(after.value, ast.Constant) and isinstance(after.value.value, str):
-                found[node.target.id] = after.value.value
+    for pair in zip(made.body, made.body[1:], strict=False):
+        match pair:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                found[name] = text
     return found
 
 
-# Commands and options as users type them: synonyms, and what a misspelt one may have meant.
-
-SYNONYMS = {
-    "run": {"--task": "--tasks", "--seed": "--seeds"},
-    "compare": {"--null": "--baseline"},
-    "report": {"--null": "--baseline"},
-}
-"""Command -> option that it understands -> the option that its help shows."""
-
-
-def with_synonyms(arguments: Sequence[str]) -> list[str]:
-    """Return the command line with the names of options that the help shows."""
-    if not arguments:
-        return []
-    if arguments[0] == "help":
-        return [*arguments[1:], "--help"]
-    known = SYNONYMS.get(arguments[0], {})
-    split = [argument.partition("=") for argument in arguments]
-    return [known.get(name, name) + equals + value for name, equals, value in split]
-
-
-def unknown_command(name: str, commands: Iterable[str]) -> str:
-    valid = list(commands)
-    return f"no command named {name!r}{did_you_mean(name, valid)}; valid: {', '.join(valid)}"
-
-
-def unknown_option(name: str, command: type[Any], arguments: Iterable[str]) -> str | None:
-    """Return a message about the first option that a command does not have, or None if it has all of them."""
-    valid = option_names(command)
-    for argument in arguments:
-        option = argument.partition("=")[0]
-        if option.startswith("--") and option.replace("_", "-") not in ("--", "--help", *valid):
-            meant = _option_meant(option, command)
-            return f"{name} has no option {option}{meant}; `carecontact {name} --help` shows all options"
-    return None
-
-
-def _option_meant(option: str, command: type[Any]) -> str:
-    """Return the option that was meant. The dashes, which all options share, do not count, and the name of a positional
-    argument is never meant."""
-    bare = option.removeprefix("--").replace("_", "-")
-    if bare in positional_names(command):
-        return f"; give the {bare} without {option}"
-    meant = did_you_mean(bare, [valid.removeprefix("--") for valid in ("--help", *option_names(command))])
-    return meant.replace("mean '", "mean '--")
-
-
-# Makes one line of what the parser prints about a wrong command line.
+# One line about a wrong command line.
 
 NOT_OF_TYPE = re.compile(r"no type matching (\S+) could be instantiated from \[(.*?)\]")
 NO_NUMBER = re.compile(r"(?:invalid literal for (int)\(\) with base 10|could not convert string to (float)): ('.*?')")
@@ -162,8 +272,27 @@ LISTED = re.compile(r"T\d+|\d+")
 MISSING_OPTION, UNRECOGNIZED = "Missing from carecontact ", "Unrecognized options: "
 
 
-def in_one_line(box: str) -> str:
-    """Return what is wrong and where help is from tyro's framed page, without the indented help texts."""
+def _check_options(name: str, command: type[Any], arguments: Sequence[str]) -> None:
+    """Raises UsageError for the first option that a command does not have. The dashes, which all options share, do not
+    count for what may have been meant, and the name of a positional argument is never meant."""
+    valid = option_names(command)
+    for argument in arguments:
+        option = argument.partition("=")[0].replace("_", "-")
+        if not option.startswith("--") or option in ("--", "--help", *valid):
+            continue
+        bare = option.removeprefix("--")
+        positional = [field for field, hint, _ in _options(command) if tyro.conf.Positional in get_args(hint)[1:]]
+        meant = did_you_mean(bare, [known.removeprefix("--") for known in ("--help", *valid)])
+        meant = f"; give the {bare} without {option}" if bare in positional else meant.replace("mean '", "mean '--")
+        raise UsageError(f"{name} has no option {option}{meant}; `carecontact {name} --help` shows all options")
+
+
+def in_one_line(box: str, lacking: Sequence[str]) -> str:
+    """Return what is wrong and where help is from tyro's framed page, without the indented help texts.
+
+    Args:
+        lacking: options that the command line does not give, to which a word without an option may belong.
+    """
     rows = [line.strip("│╰╯ \n") for line in box.splitlines() if not line.startswith(" " * 8, 2)]
     sections = [" ".join(section.split()) for section in RULE.split("\n".join(rows[1:])) if section.strip()]
     if not sections:
@@ -176,14 +305,14 @@ def in_one_line(box: str) -> str:
     stray = next((section for section in sections if section.startswith(UNRECOGNIZED)), None)
     if stray is None:
         return "; ".join([first, *help_is])
-    told = _stray(stray.removeprefix(UNRECOGNIZED).split(), re.findall(r"(--\S+) [A-Z]", first))
-    return "; ".join([told, *([first] if first.startswith(MISSING_OPTION) else []), *help_is])
+    text = _stray(re.split(",? ", stray.removeprefix(UNRECOGNIZED)), lacking)
+    return "; ".join([text, *([first] if first.startswith(MISSING_OPTION) else []), *help_is])
 
 
-def _stray(words: Sequence[str], missing: Sequence[str]) -> str:
-    """Describe words that no option takes. The first of them may be values whose options are missing."""
-    meant = " ".join(f"{option} {word}" for option, word in zip(missing, words, strict=False))
-    if not meant and all(LISTED.fullmatch(word) for word in words):
+def _stray(words: Sequence[str], lacking: Sequence[str]) -> str:
+    """Describe words that no option takes."""
+    meant = " ".join(f"{option} {word}" for option, word in zip(lacking, words, strict=False))
+    if all(LISTED.fullmatch(word) for word in words):
         meant = "a list with commas, such as --tasks T1,T2 or --seeds 0,1"
     return f"no option takes {' '.join(words)}" + (f" (did you mean {meant}?)" if meant else "")
 
@@ -193,87 +322,3 @@ def _no_choice(found: re.Match[str]) -> str:
     valid = [choice for choice in re.findall(r"'(.*?)'", listed) if choice != "None"]
     place = f"{argument}: " if argument.startswith("-") else ""
     return f"{place}no choice named {given!r}{did_you_mean(given, valid)}; valid: {', '.join(valid)}"
-
-
-# The commands of ``carecontact``, and the parser that turns a command line into one of them.
-
-
-class Command(Protocol):
-    """A dataclass of options. A call does the work and returns the exit status."""
-
-    after_interrupt: ClassVar[str]
-    """What Ctrl-C has left behind, as a continuation of the word "interrupted"."""
-
-    def __call__(self) -> int: ...
-
-
-class UsageError(ConfigError):
-    """The command line names an option, a value or a command that does not exist."""
-
-
-CONFIG = (tyro.conf.DisallowNone, tyro.conf.HelptextFromCommentsOff)
-"""Settings of the parser. The help leaves out the default None, which nobody types. ``described`` gives the help texts,
-so that tyro need not look for comments in the sources."""
-COMMANDS = {
-    "run": "run:Run",
-    "merge": "sweep:Merge",
-    "salt": "audit:Salt",
-    "sweep": "sweep:Sweep",
-    "check": "check:Check",
-    "serve": "serve:Serve",
-    "demo": "run:Demo",
-    "score": "score:Score",
-    "report": "report:Report",
-    "compare": "compare:Compare",
-    "paper": "export:Paper",
-    "export": "export:Export",
-    "video": "video:Video",
-    "view": "video:View",
-    "validate": "validate:Validate",
-    "calibrate": "calibrate:Calibrate",
-    "look": "check:Look",
-    "audit": "audit:Audit",
-    "notes": "video:Notes",
-    "probe": "validate:Probe",
-    "protocol": "protocol:Protocols",
-    "list": "names:List",
-    "doctor": "check:Doctor",
-}
-"""Name -> module of this package and class in it."""
-
-
-def command_class(name: str) -> type[Any]:
-    """Return the class of a command. Raises UsageError if no command has this name."""
-    if name not in COMMANDS:
-        raise UsageError(unknown_command(name, COMMANDS))
-    module, _, made = COMMANDS[name].partition(":")
-    return described(getattr(import_module(f"carecontact.cli.{module}"), made))
-
-
-def parse(arguments: Sequence[str]) -> Command:
-    """Return the command with its options, ready to call.
-
-    Prints the help and exits if the arguments request it or are empty. Raises UsageError for wrong options.
-    """
-    errors = io.StringIO()
-    if arguments and not arguments[0].startswith("-"):
-        name, *options = arguments
-        if wrong := unknown_option(name, command_class(name), options):
-            raise UsageError(wrong)
-    try:
-        with redirect_stderr(errors):
-            if arguments and arguments[0] in COMMANDS:
-                name, *options = arguments
-                return tyro.cli(command_class(name), prog=f"carecontact {name}", args=options, config=CONFIG)
-            return tyro.extras.subcommand_cli_from_dict(
-                {name: command_class(name) for name in COMMANDS},
-                prog="carecontact",
-                description="Measure whether a robot policy touches people well. `carecontact --version` prints the "
-                "version.",
-                args=list(arguments) or ["--help"],
-                config=CONFIG,
-            )
-    except SystemExit as end:
-        if end.code != 2:
-            raise
-        raise UsageError(in_one_line(errors.getvalue())) from None

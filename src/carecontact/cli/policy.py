@@ -25,8 +25,6 @@ from carecontact.recording.reason import reason
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.opening import open_policy
 
-# --language and --record: the arguments ``language`` and ``record`` of a policy, checked before a run.
-
 SPELLED = {"rules-v1": "rules-v1", "replay": "replay:FILE.jsonl", "live": "live:MODEL"}
 """Kind of language backend -> how a command line names one."""
 
@@ -54,12 +52,10 @@ def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, s
         return None, None
     kind, colon, place = language.partition(":")
     if ref.kind == "registered" and kind not in kinds:
-        takes = (
-            f"takes {' or '.join(SPELLED[kind] for kind in kinds)}" if kinds else "has no language backend to choose"
-        )
-        raise ConfigError(f"--language {language}: policy {ref} {takes}")
+        valid = " or ".join(SPELLED[kind] for kind in kinds) or "no --language"
+        raise ConfigError(f"--language {language}: policy {ref} takes {valid}")
     if kind == "replay" and not place:
-        raise ConfigError(f"--language {language}: expected a file after it, as in replay:said.jsonl")
+        raise ConfigError(f"--language {language}: expected a file after it, as in replay:answers.jsonl")
     spelled = f"replay:{os.path.abspath(place)}" if kind == "replay" and colon else language
     language_name(spelled)
     return spelled, None if record is None else os.path.abspath(record)
@@ -72,26 +68,23 @@ def _one(name: str, option: str | None, argument: str | None) -> str | None:
 
 
 def _check_record(record: Path) -> None:
-    if not os.path.isdir(os.path.dirname(os.path.abspath(record))):
+    folder = record.absolute().parent
+    if not folder.is_dir():
         raise ConfigError(f"--record {record}: the folder {record.parent} does not exist")
-    if os.path.exists(record) and not os.path.isfile(record):
+    if record.exists() and not record.is_file():
         raise ConfigError(f"--record {record}: expected a new or regular file, got a folder, pipe or device")
     try:
         # Trials append to it at the same time.
-        with tempfile.TemporaryFile(dir=os.path.dirname(os.path.abspath(record))) as beside:
+        with tempfile.TemporaryFile(dir=folder) as beside:
             fcntl.flock(beside, fcntl.LOCK_EX)
     except OSError as error:
-        raise ConfigError(
-            f"--record {record}: no file in its folder can be written and locked ({error.strerror}); name a file on "
-            "another mount"
-        ) from None
-
-
-# Guesses, from the files of the current folder, which policy a wrong --policy meant. Nothing is imported.
+        why = f"no file in its folder can be written and locked ({error.strerror})"
+        raise ConfigError(f"--record {record}: {why}; name a file on another mount") from None
 
 
 def suggestion(policy: str, folder: Path) -> str:
-    """Return `` (did you mean my_policy:MyPolicy?)``, or an empty text if no file of the folder has a similar name.
+    """Guess, from the files of a folder, which policy was meant, and import nothing. Return `` (did you mean
+    my_policy:MyPolicy?)``, or an empty text if no file of the folder has a similar name.
 
     Args:
         policy: as it was typed: a name, ``my_policy.py``, ``my_policy.MyPolicy``, ``my_policy:MyPolcy`` or
@@ -134,9 +127,6 @@ def classes(file: Path) -> list[str]:
     return []
 
 
-# --segmenter and --weights, checked before a run.
-
-
 def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
     """Return the protocol with the options' segmenter, if they name one, and load its models once, since every trial
     would fail in the same way.
@@ -148,7 +138,7 @@ def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
     if name == "mediapipe":
         if weights is not None:
             raise ConfigError(f"--weights {weights}: only --segmenter grounded-sam takes weights")
-        return _replaced(protocol, name, "")
+        return overridden(protocol, {"vision.segmenter": name, "vision.weights_sha256": ""})
     if weights is None:
         raise ConfigError("--segmenter grounded-sam: also give --weights DIR, a folder with grounding-dino/ and sam/")
     from carecontact.sensing.grounded_sam import GroundedSam, weights_sha256
@@ -164,11 +154,7 @@ def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
             f"--weights {weights}: sha256 {sha256[:12]}, protocol {protocol.name} names {named[:12]}; add "
             "--segmenter grounded-sam to use these weights instead"
         )
-    return _replaced(protocol, name, sha256)
-
-
-def _replaced(protocol: Protocol, segmenter: str, weights_sha256: str) -> Protocol:
-    return overridden(protocol, {"vision.segmenter": segmenter, "vision.weights_sha256": weights_sha256})
+    return overridden(protocol, {"vision.segmenter": name, "vision.weights_sha256": sha256})
 
 
 CREDENTIALS = "CARECONTACT_POLICY_CREDENTIALS"
@@ -262,14 +248,8 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
         where = "does not answer as a policy server" if setup.ref.kind == "remote" else f"does not start{place}"
         why = reason(str(error)).removeprefix(f"policy {setup.ref.text!r} failed at start: ")
         nearest = suggestion(setup.ref.text, Path.cwd()) if NOT_FOUND.search(str(error)) else ""
-        raise ConfigError(
-            "\n".join(
-                [
-                    f"--policy {setup.ref} {where}: {why}{nearest}; `carecontact check` shows all of it",
-                    *excerpt(str(error)),
-                ]
-            )
-        ) from None
+        first = f"--policy {setup.ref} {where}: {why}{nearest}; `carecontact check` shows all of it"
+        raise ConfigError("\n".join([first, *excerpt(str(error))])) from None
     level, _, why = (conversation.isolation or "").partition(": ")
     if level == "none":
         print(

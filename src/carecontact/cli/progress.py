@@ -6,36 +6,40 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from carecontact.cli.console import excerpt
-from carecontact.cli.run import throughput
 from carecontact.errors import ConfigError, RecordingError, counted
-from carecontact.recording.reason import ended_text
-from carecontact.running.scorer import Scorer
+from carecontact.recording import read_header
+from carecontact.recording.reason import alike, ended_text, reason_of, remedies
+from carecontact.recording.schema import EndReason, Failure
 from carecontact.running.supervisor import RunSummary, TrialEvent
+from carecontact.runs.results_file import RESULTS_NAME, read_results
+from carecontact.runs.scorer import Scorer
 from carecontact.runs.sweep import Cell
+from carecontact.scoring.result import TrialScore
 from carecontact.serving.conversation import WAIT_REPORT_S
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from carecontact.recording.schema import EndReason, Failure
-    from carecontact.scoring.result import TrialScore
-
-
-# Counts the finished trials of a run by result, and estimates when the run ends.
+HEARTBEAT_S = 30.0
+"""Longest time without a line where there is no terminal for a bar [s]."""
+MOST_WAITING = 4
+"""Largest number of lines about silent policies that are shown at the same time."""
+HARNESS_FAILED, POLICY_CRASHED = 1, 3
+"""Exit status if the harness failed in a trial, and if only policies crashed."""
+SHOWN, LOGS = 3, 3
+"""Number of different failures that are printed with their tracebacks, and number of logs named for each."""
 
 
 class Tally:
-    """Counts the trials of a run as they end. Each is scored once, and nobody waits."""
+    """Counts the trials of a run as they end. Each is scored once, in the background."""
 
     def __init__(self, out: Path, scorer: Scorer) -> None:
         """Make a tally without a trial.
@@ -45,7 +49,6 @@ class Tally:
             scorer: scores the trials that run, which the tally gives it.
         """
         self._out, self._scorer = out, scorer
-        self._earlier: dict[str, TrialScore] | None = None
         self._began = time.monotonic()
         self._done = self._total = self._ran = 0
         self.passed = self.failed = self.crashed = self.harness_failed = 0
@@ -54,33 +57,31 @@ class Tally:
         self._silent: dict[str, tuple[float, str]] = {}
 
     def take(self, event: TrialEvent) -> None:
+        trial = event.trial_id
         self._done, self._total = event.done, event.total
         if event.kind == "waiting":
-            self._silent[event.trial_id] = time.monotonic(), event.message or ""
+            self._silent[trial] = time.monotonic(), event.message or ""
         if event.kind == "started":
-            self._running[event.trial_id] = None
+            self._running[trial] = None
         if event.kind not in ("kept", "finished"):
             return
-        self._running.pop(event.trial_id, None)
-        self._silent.pop(event.trial_id, None)
+        self._running.pop(trial, None)
+        self._silent.pop(trial, None)
         self._ran += event.kind == "finished"
         if event.ended == "process_failure":
             self.crashed += 1
         elif event.ended == "harness_error":
             self.harness_failed += 1
         elif event.kind == "kept":
-            self._count(self._stored().get(event.trial_id), last=False)
+            self._count(self._stored.get(trial))
         else:
-            self._scorer.give(self._out / f"{event.trial_id}.h5", then=lambda score: self._count(score, last=True))
+            self._scorer.give(self._out / f"{trial}.h5", then=self._count_last)
 
     def counts(self) -> str:
         """Return the counts, such as ``5 passed, 6 failed, 1 crashed, last C1 12.3 N``."""
-        parts = [f"{self.passed} passed", f"{self.failed} failed", f"{self.crashed} crashed"]
-        if self.harness_failed:
-            parts.append(f"{self.harness_failed} failed in the harness")
-        if self._last_c1:
-            parts.append(self._last_c1)
-        return ", ".join(parts)
+        harness = f"{self.harness_failed} failed in the harness" if self.harness_failed else ""
+        parts = (f"{self.passed} passed", f"{self.failed} failed", f"{self.crashed} crashed", harness, self._last_c1)
+        return ", ".join(filter(None, parts))
 
     def left(self) -> str:
         """Return the time left, such as ``about 14 min left``, or an empty text once every trial has ended."""
@@ -98,46 +99,45 @@ class Tally:
         since = time.monotonic() - 2 * WAIT_REPORT_S
         return [f"{trial_id} {line}" for trial_id, (at, line) in list(self._silent.items()) if at > since]
 
-    def running(self) -> list[str]:
-        """Return the trials that have started and not ended."""
-        return list(self._running)
+    def lines(self) -> Iterator[str]:
+        """Yield the counts, the silent policies, and the trials that have started and not ended."""
+        yield self.counts()
+        waiting = self.waiting()
+        yield from waiting[:MOST_WAITING]
+        if len(waiting) > MOST_WAITING:
+            yield f"and {len(waiting) - MOST_WAITING} more wait for their policies"
+        if self._running:
+            yield f"running: {' '.join(self._running)}"
 
     def heartbeat(self) -> str:
-        told = ", ".join(filter(None, (self.counts(), self.left())))
-        return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {told}"
+        text = ", ".join(filter(None, (self.counts(), self.left())))
+        return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {text}"
 
     def wait(self) -> None:
         """Wait until every trial is scored."""
         self._scorer.wait()
 
-    def _count(self, score: TrialScore | None, *, last: bool) -> None:
-        if score is None:
-            return
-        self.passed += score.safety_gated
-        self.failed += not score.safety_gated
-        if last:
+    def _count(self, score: TrialScore | None) -> None:
+        if score is not None:
+            self.passed += score.safety_gated
+            self.failed += not score.safety_gated
+
+    def _count_last(self, score: TrialScore | None) -> None:
+        self._count(score)
+        if score is not None:
             force = score.c1_peak_force_n
             self._last_c1 = "last trial without contact" if force is None else f"last C1 {force:.1f} N"
 
+    @cached_property
     def _stored(self) -> dict[str, TrialScore]:
-        """Return the scores that an earlier command wrote."""
-        if self._earlier is None:
-            from carecontact.runs.results_file import RESULTS_NAME, read_results
-
-            self._earlier = {}
-            with suppress(ConfigError, OSError):
-                self._earlier = {score.trial_id: score for score in read_results(self._out / RESULTS_NAME).scores}
-        return self._earlier
-
-
-# The bar of a run on a terminal, with lines under it for what has no room beside it in 80 columns.
-
-MOST_WAITING = 4
-"""Largest number of lines about silent policies that are shown at the same time."""
+        """The scores that an earlier command wrote."""
+        with suppress(ConfigError, OSError):
+            return {score.trial_id: score for score in read_results(self._out / RESULTS_NAME).scores}
+        return {}
 
 
 class RunBar(Progress):
-    """The bar and the time left; under it the counts, each policy that does not answer, and the trials that run."""
+    """The bar and the time left; under it, in lines of their own, what has no room beside it in 80 columns."""
 
     def __init__(self, tally: Tally, *, console: Console | None = None) -> None:
         self._tally = tally
@@ -147,122 +147,45 @@ class RunBar(Progress):
 
     def get_renderables(self) -> Iterator[RenderableType]:
         yield from super().get_renderables()
-        yield from (Text(line, no_wrap=True, overflow="ellipsis") for line in self._lines())
+        yield from (Text(line, no_wrap=True, overflow="ellipsis") for line in self._tally.lines())
 
     def advance_to(self, done: int, total: int) -> None:
         self.update(self._row, completed=done, total=total, description=self._tally.left())
 
-    def _lines(self) -> Iterator[str]:
-        yield self._tally.counts()
-        waiting = self._tally.waiting()
-        yield from waiting[:MOST_WAITING]
-        if len(waiting) > MOST_WAITING:
-            yield f"and {len(waiting) - MOST_WAITING} more wait for their policies"
-        if running := self._tally.running():
-            yield f"running: {' '.join(running)}"
 
+class Silence:
+    """Decides when to print that a policy does not answer: at once, and then every HEARTBEAT_S."""
 
-# What ``carecontact run`` prints of the trials that failed before their end, and the exit status that they give.
+    def __init__(self) -> None:
+        self._seen: dict[str, float] = {}
+        self._printed: dict[str, float] = {}
 
-HARNESS_FAILED, POLICY_CRASHED = 1, 3
-"""Exit status if the harness failed in a trial, and if only policies crashed."""
-SHOWN, LOGS = 3, 3
-"""Number of different failures that are printed with their tracebacks, and number of logs named for each."""
-
-
-def print_failed(ended: Mapping[str, EndReason], *, out: Path) -> None:
-    """Name what failed and where its logs are; of crashes also the end of the traceback and output.
-
-    Args:
-        ended: trial -> how it ended.
-        out: folder of the run.
-    """
-    crashed, harness = _of(ended, "process_failure"), _of(ended, "harness_error")
-    if crashed:
-        share = f"{len(crashed)} of {counted(len(ended), 'trial')}"
-        print(f"the policy crashed in {share}; logs and report.html are in {out}")
-        _print_groups(crashed, out, whole=True)
-    if harness:
-        print(f"{counted(len(harness), 'trial')} failed in the harness; logs are in {out}")
-        _print_groups(harness, out, whole=False)
-        print("the same command runs them again")
-    if crashed:
-        print("to run crashed trials again: --restart after a change of the policy, --retry-failed if the cause lay "
-              "outside it")  # fmt: skip
-
-
-def failed_status(ended: Mapping[str, EndReason], *, allow_failures: bool) -> int:
-    """Return the exit status. Failures of the harness take precedence, because they leave trials without a result."""
-    if _of(ended, "harness_error"):
-        return HARNESS_FAILED
-    return POLICY_CRASHED if _of(ended, "process_failure") and not allow_failures else 0
-
-
-def _of(ended: Mapping[str, EndReason], end: EndReason) -> list[str]:
-    return [trial_id for trial_id, how in ended.items() if how == end]
-
-
-def _print_groups(trials: Sequence[str], out: Path, *, whole: bool) -> None:
-    """Print equal failures together.
-
-    Args:
-        whole: whether to print more of a failure than its reason.
-    """
-    from carecontact.recording.reason import alike, reason_of, remedies
-
-    groups: dict[str, list[tuple[str, Failure]]] = {}
-    for trial_id in sorted(trials):
-        failure = _failure(out / f"{trial_id}.h5")
-        groups.setdefault(alike(reason_of(failure)), []).append((trial_id, failure))
-    for number, group in enumerate(sorted(groups.values(), key=len, reverse=True)):
-        first = group[0][1]
-        logs = _logs([trial_id for trial_id, _ in group], out)
-        print(f"{counted(len(group), 'trial')}: {reason_of(first)}; see {logs}")
-        for line in excerpt(first.message) if whole and number < SHOWN else ():
-            print(line)
-        for remedy in remedies(first.message) if whole else ():
-            print(f"  hint: {remedy}")
-
-
-def _logs(trials: Sequence[str], out: Path) -> str:
-    more = len(trials) - LOGS
-    names = ", ".join(str(out / f"{trial_id}.log") for trial_id in trials[:LOGS])
-    return names + (f" and {more} more" if more > 0 else "")
-
-
-def _failure(recording: Path) -> Failure:
-    from carecontact.recording import read_header
-    from carecontact.recording.schema import Failure
-
-    try:
-        found = read_header(recording).failure
-    except RecordingError as error:
-        return Failure(kind="unread", message=str(error))
-    return found or Failure(kind="unknown", message="no reason recorded")
-
-
-# What a run prints while it goes: a bar on a terminal; plain lines elsewhere, at least one in 30 s, and one as soon as
-# a policy is silent.
-
-HEARTBEAT_S = 30.0
+    def is_due(self, trial_id: str) -> bool:
+        """Return whether to print a line now. Call this for every report of silence: if there is none for twice
+        WAIT_REPORT_S, the policy has answered."""
+        now = time.monotonic()
+        lasts = now - self._seen.get(trial_id, -math.inf) < 2 * WAIT_REPORT_S
+        self._seen[trial_id] = now
+        if lasts and now - self._printed[trial_id] < HEARTBEAT_S:
+            return False
+        self._printed[trial_id] = now
+        return True
 
 
 def event_line(event: TrialEvent) -> str | None:
     """Return one line about an event, or None for an event that needs no line."""
-    place = f"[{event.done}/{event.total}] {event.trial_id}"
-    if event.kind == "redo":
-        return f"{place} runs again: {event.message}"
+    texts = {"redo": f"runs again: {event.message}", "waiting": event.message}
     if event.kind == "finished":
         how = ended_text(event.ended) if event.ended else "ended"
-        return f"{place} {how}" + (f": {event.message}" if event.message else "")
-    if event.kind == "waiting":
-        return f"{place} {event.message}"
-    return None
+        texts["finished"] = how + (f": {event.message}" if event.message else "")
+    text = texts.get(event.kind)
+    return None if text is None else f"[{event.done}/{event.total}] {event.trial_id} {text}"
 
 
 @contextmanager
 def progress(out: Path, scorer: Scorer) -> Iterator[Callable[[TrialEvent], None]]:
-    """Yield the callback for ``run_trials``.
+    """Yield the callback for ``run_trials``: it shows a bar on a terminal, and prints plain lines elsewhere, at least
+    one in HEARTBEAT_S, and one as soon as a policy is silent.
 
     Args:
         out: folder of the run, whose finished trials are counted.
@@ -275,7 +198,6 @@ def progress(out: Path, scorer: Scorer) -> Iterator[Callable[[TrialEvent], None]
 
 @contextmanager
 def _bar(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
-
     with RunBar(tally) as bar:
 
         def show(event: TrialEvent) -> None:
@@ -290,29 +212,9 @@ def _bar(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
         tally.wait()
 
 
-class Silence:
-    """Decides when to print that a policy does not answer: at once, and then every HEARTBEAT_S."""
-
-    def __init__(self) -> None:
-        self._seen: dict[str, float] = {}
-        self._told: dict[str, float] = {}
-
-    def is_due(self, trial_id: str) -> bool:
-        """Return whether to print a line now. Call this for every report of silence: if there is none for twice
-        WAIT_REPORT_S, the policy has answered."""
-        now = time.monotonic()
-        lasts = now - self._seen.get(trial_id, -math.inf) < 2 * WAIT_REPORT_S
-        self._seen[trial_id] = now
-        if lasts and now - self._told[trial_id] < HEARTBEAT_S:
-            return False
-        self._told[trial_id] = now
-        return True
-
-
 @contextmanager
 def _plain(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
-    began = time.monotonic()
-    kept = 0
+    began, kept = time.monotonic(), 0
     silence, ended = Silence(), threading.Event()
 
     def beat() -> None:
@@ -325,12 +227,12 @@ def _plain(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
         if event.kind == "kept":
             kept += 1
             return
-        say_kept()
+        print_kept()
         line = event_line(event) if event.kind != "waiting" or silence.is_due(event.trial_id) else None
         if line:
             print(f"{time.monotonic() - began:6.0f} s {line}", flush=True)
 
-    def say_kept() -> None:
+    def print_kept() -> None:
         nonlocal kept
         if kept:
             print(f"{counted(kept, 'trial is', 'trials are')} finished already", flush=True)
@@ -339,7 +241,7 @@ def _plain(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
     threading.Thread(target=beat, daemon=True).start()
     try:
         yield show
-        say_kept()
+        print_kept()
     finally:
         ended.set()
 
@@ -349,49 +251,117 @@ class SweepProgress:
 
     def __init__(self, *, cells: int, trials: int) -> None:
         self._cells, self._trials, self._silence = cells, trials, Silence()
-        self._began = self._told = time.monotonic()
-        self._done_cells = self._done = self._ran = self._most = 0
-        self._running = 0
-        self._ended: dict[str, int] = {}
+        self._began = self._printed = time.monotonic()
+        self._done_cells = self._done = self._ran = self._running = self._most = 0
+        self._ended: Counter[EndReason] = Counter()
         self._warned: dict[int, str] = {}
         """Policy -> the cell whose first answer was printed. The policy answers alike in all cells."""
 
     def take(self, cell: Cell, event: TrialEvent) -> None:
         self._running += (event.kind == "started") - (event.kind in ("finished", "redo") and self._running > 0)
         self._most = max(self._most, self._running)
-        self._done += event.kind in ("kept", "finished")
         self._ran += event.kind == "finished"
-        failed = event.ended in ("process_failure", "harness_error")
-        if event.kind in ("kept", "finished") and event.ended is not None:
-            self._ended[event.ended] = self._ended.get(event.ended, 0) + 1
-        line = event_line(event) if event.kind == "redo" or failed else None
+        if event.kind in ("kept", "finished"):
+            self._done += 1
+            self._ended.update([event.ended] if event.ended else [])
+        line = None
+        if event.kind == "redo" or event.ended in ("process_failure", "harness_error"):
+            line = event_line(event)
         if event.kind == "waiting" and self._silence.is_due(f"{cell.name} {event.trial_id}"):
             line = event_line(event)
         if event.kind == "warned" and self._warned.setdefault(cell.policy, cell.name) == cell.name:
             line = f"warning: the first answer of {event.trial_id}, {event.message}"
         if line is not None:
-            self._say(f"{cell.name}: {line}")
-        elif time.monotonic() - self._told > HEARTBEAT_S:
-            self._say("")
+            self._print(f"{cell.name}: {line}")
+        elif time.monotonic() - self._printed > HEARTBEAT_S:
+            self._print("")
 
     def done(self, cell: Cell, summary: RunSummary) -> None:
         self._done_cells += 1
         if summary.ran:
-            self._say(f"{cell.name}: {counted(len(summary.ended), 'trial')}")
+            self._print(f"{cell.name}: {counted(len(summary.ended), 'trial')}")
 
-    def say_throughput(self, wall_s: float) -> None:
-        kept = self._done - self._ran
-        if kept:
+    def print_throughput(self, wall_s: float) -> None:
+        if kept := self._done - self._ran:
             print(f"{counted(kept, 'trial was', 'trials were')} finished already")
         if self._ran:
             print(throughput(self._ran, wall_s, self._most))
 
     def status(self) -> int:
-        if self._ended.get("harness_error"):
-            return HARNESS_FAILED
-        return POLICY_CRASHED if self._ended.get("process_failure") else 0
+        return status_of(self._ended)
 
-    def _say(self, line: str) -> None:
-        self._told = time.monotonic()
+    def _print(self, line: str) -> None:
+        self._printed = time.monotonic()
         counts = f"[{self._done_cells}/{self._cells} cells, {self._done}/{self._trials} trials]"
-        print(f"{self._told - self._began:6.0f} s {counts} {line}".rstrip(), flush=True)
+        print(f"{self._printed - self._began:6.0f} s {counts} {line}".rstrip(), flush=True)
+
+
+def throughput(trials: int, wall_s: float, most_at_once: int) -> str:
+    """Return one line about how fast the trials ran in the time ``wall_s`` [s]."""
+    rate = f"{60 * trials / wall_s:.1f} a minute"
+    return f"{counted(trials, 'trial')} in {wall_s:.0f} s, at most {most_at_once} at once: {rate}"
+
+
+def status_of(ended: Mapping[EndReason, int], *, allow_failures: bool = False) -> int:
+    """Return the exit status. Failures of the harness take precedence, because they leave trials without a result.
+
+    Args:
+        ended: how trials ended -> number of trials.
+        allow_failures: whether a policy may crash.
+    """
+    if ended.get("harness_error"):
+        return HARNESS_FAILED
+    return POLICY_CRASHED if ended.get("process_failure") and not allow_failures else 0
+
+
+def print_failed(ended: Mapping[str, EndReason], *, out: Path, again: str) -> None:
+    """Name what failed and where its logs are; of crashes also the end of the traceback and output.
+
+    Args:
+        ended: trial -> how it ended.
+        out: folder of the run.
+        again: command that goes on with the run.
+    """
+    crashed = [trial for trial, how in ended.items() if how == "process_failure"]
+    harness = [trial for trial, how in ended.items() if how == "harness_error"]
+    if crashed:
+        share = f"{len(crashed)} of {counted(len(ended), 'trial')}"
+        print(f"the policy crashed in {share}; logs and report.html are in {out}")
+        _print_groups(crashed, out, whole=True)
+    if harness:
+        print(f"{counted(len(harness), 'trial')} failed in the harness; logs are in {out}")
+        _print_groups(harness, out, whole=False)
+        print(f"to run them again: {again}")
+    if crashed:
+        print(
+            "to run crashed trials again: --restart if you changed the policy, --retry-failed if it was not the cause"
+        )
+
+
+def _print_groups(trials: Sequence[str], out: Path, *, whole: bool) -> None:
+    """Print equal failures together.
+
+    Args:
+        whole: whether to print more of a failure than its reason.
+    """
+    groups: dict[str, list[tuple[str, Failure]]] = defaultdict(list)
+    for trial_id in sorted(trials):
+        failure = _failure(out / f"{trial_id}.h5")
+        groups[alike(reason_of(failure))].append((str(out / f"{trial_id}.log"), failure))
+    for number, group in enumerate(sorted(groups.values(), key=len, reverse=True)):
+        first = group[0][1]
+        more = f" and {len(group) - LOGS} more" if len(group) > LOGS else ""
+        logs = ", ".join(log for log, _ in group[:LOGS]) + more
+        print(f"{counted(len(group), 'trial')}: {reason_of(first)}; see {logs}")
+        for line in excerpt(first.message) if whole and number < SHOWN else ():
+            print(line)
+        for remedy in remedies(first.message) if whole else ():
+            print(f"  hint: {remedy}")
+
+
+def _failure(recording: Path) -> Failure:
+    try:
+        found = read_header(recording).failure
+    except RecordingError as error:
+        return Failure(kind="unread", message=str(error))
+    return found or Failure(kind="unknown", message="no reason recorded")

@@ -1,156 +1,139 @@
-"""``carecontact report``: the page about one run, and the pages of its trials."""
+"""``carecontact report``: scores, report and pages of a run, from its recordings and without a simulator."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from carecontact.cli.groups import Switch
-from carecontact.errors import CarecontactError, ConfigError, RecordingError, counted
+from carecontact.cli.console import print_answer
+from carecontact.cli.groups import Switch, VerboseGroup, need_recordings, read_run
+from carecontact.cli.parsing import given_options
+from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
-    from carecontact.report.trial_page import Beside
     from carecontact.runs.pooling import RunScores
 
-
-# Write the pages of trials, for ``carecontact report``.
-
-
-def write_page_of(file: Path) -> Path:
-    """Score one recording, write the page of its trial into the folder ``trial`` beside it, and return the page's path.
-
-    Raises RecordingError, naming the file, for one that cannot be read, scored or drawn.
-    """
-    from carecontact.recording import read_recording
-    from carecontact.report.trial_page import write_trial_page
-    from carecontact.runs.pooling import RunScores
-    from carecontact.scoring import score_recording
-
-    recording = read_recording(file)
-    score = score_recording(recording)
-    beside = policies_beside(file.parent, RunScores(scores=[score]))
-    return write_trial_page(file.parent, recording, score, beside=beside)
-
-
-def write_trial_pages(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
-    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn.
-
-    Args:
-        baselines: runs of blind baselines to show beside the trials; without any, those of the last report.
-    """
-    from carecontact.recording import open_recording
-    from carecontact.report.links import FOLDER
-    from carecontact.report.trial_page import write_trial_page
-
-    beside, done = policies_beside(folder, run, baselines), 0
-    for score in run.scores:
-        try:
-            recording = open_recording(folder / f"{score.trial_id}.h5", sha256=score.recording_sha256)
-            write_trial_page(folder, recording, score, beside=beside)
-            done += 1
-        except RecordingError as error:
-            print(f"no page of {score.trial_id}: {error}")
-    print(f"pages of {counted(done, 'trial')}: {folder / FOLDER}")
-
-
-def policies_beside(folder: Path, run: RunScores, baselines: Sequence[Path] = ()) -> list[Beside]:
-    """Return the runs that the pages of trials show beside a run: the named baselines, or else those of its last
-    report, and the kept scores of the shipped policies. One that cannot be read or compared is left out; the report
-    says why."""
-    from carecontact.report.baselines import check_baselines, completed_from_shipped_scores, shipped_scores_for
-    from carecontact.report.trial_page import Beside
-    from carecontact.runs.results_file import remembered
-    from carecontact.runs.scoring import read_scores
-
-    named: list[RunScores] = []
-    found: list[Beside] = []
-    try:
-        places = list(baselines) or list(remembered(folder).values())
-    except CarecontactError:
-        places = []
-    for place in places:
-        try:
-            scores = read_scores(place)
-            check_baselines(run, [*named, scores])
-        except CarecontactError:
-            continue
-        named.append(scores)
-        found.append(Beside.of(completed_from_shipped_scores(run, scores), place if place.is_dir() else place.parent))
-    kept, _ = shipped_scores_for(run, named)
-    return [*found, *map(Beside.of, kept)]
-
-
-Place = Annotated[
-    Path,
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="DIR", help="The --out folder of a run, or one recording in it (TRIAL.h5)."),
-]
+RESULTS = "results.json"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Rewrite report.html of a run from its results.json and its recordings; of a recording, write the page of its
-    trial."""
+    """Show the scores of a run, and write its report.html from results.json and the recordings; of a recording, write
+    the page of its trial. This needs no simulator."""
 
-    place: Place
+    place: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|TRIAL.h5")]
+    """The --out folder of a run, or one recording in it."""
     baseline: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN...")] = ()
     """Runs of blind baselines on the same protocol. The report shows their success rates beside those of this run.
     Later reports of this run show the same baselines, until you name others."""
-    rescore: Switch = False
-    """Compute the scores again from the recordings in place of reading results.json, which stays as it is."""
     trials: Switch = False
     """Write the page of every trial as well, trial/T1-s000.html and so on. The report links the pages that are
     there."""
-
-    after_interrupt: ClassVar[str] = ""
+    rescore: Switch = False
+    """Compute the scores again from the recordings, say what changed, and write results.json."""
+    append: Switch = False
+    """With --rescore: only add the metrics that results.json does not have yet; everything in it stays as it is."""
+    allow_missing: Switch = False
+    """With --rescore: replace results.json even if planned trials have no recording that can be scored."""
+    jobs: int | None = None
+    """With --rescore: number of processes; default: one per core, or a smaller number if there are few recordings."""
+    output: VerboseGroup = field(default_factory=VerboseGroup)
 
     def __call__(self) -> int:
-        from carecontact.cli.groups import read_run
-        from carecontact.cli.score import need_recordings, write_page
+        """With --rescore, return 1 if a recording was skipped, or if results.json stays because planned trials are
+        missing."""
+        from carecontact.cli.publish import check_rows, publish, scores_of, write_trial_pages
         from carecontact.runs.lock import folder_lock
 
+        options = [option for option in given_options(self) if option != "place"]
         if self.place.is_file():
-            return self._one_trial()
+            return self._write_one_page(options)
+        if not self.rescore and (
+            wrong := [name for name in options if name in ("--append", "--allow-missing", "--jobs")]
+        ):
+            raise ConfigError(f"{wrong[0]} belongs to `carecontact report --rescore`")
         with folder_lock(self.place):
             need_recordings(self.place)
-            run = read_run(self.place, rescore=self.rescore)
-            _need_rows(self.place, run)
+            if self.append:
+                return self._append(options)
+            run = scores_of(self.place, jobs=self.jobs) if self.rescore else read_run(self.place)
+            if not self.rescore:
+                check_rows(self.place, run)
             if self.trials:
                 write_trial_pages(self.place, run, baselines=self.baseline)
-            print(*write_page(self.place, run, baselines=self.baseline), sep="\n")
-        return 0
+            wrote = publish(
+                self.place,
+                run,
+                write=self.rescore,
+                allow_missing=self.allow_missing,
+                page=bool(run.scores),
+                baselines=self.baseline,
+                verbose=self.output.verbose,
+            )
+        status = 1 if self.rescore and (run.skipped or not wrote) else 0
+        self._answer(run, wrote=wrote, status=status)
+        return status
 
-    def _one_trial(self) -> int:
+    def _write_one_page(self, options: Sequence[str]) -> int:
         """Write the page of one trial. Raises ConfigError for an option that only a run's report has."""
-
         if self.place.suffix != ".h5":
             raise ConfigError(
                 f"{self.place}: report takes the folder of a run, or one recording in it (TRIAL.h5); name "
                 f"{self.place.parent}"
             )
-        given = [name for name, on in (("--baseline", self.baseline), ("--trials", self.trials)) if on]
-        if given:
-            raise ConfigError(f"{given[0]} belongs to the report of a run: name its folder, {self.place.parent}")
+        if options:
+            raise ConfigError(f"{options[0]} belongs to the report of a run: name its folder, {self.place.parent}")
+        from carecontact.cli.publish import write_page_of
+
         print(f"page of the trial: {write_page_of(self.place)}")
         return 0
 
+    def _append(self, options: Sequence[str]) -> int:
+        """Add the metrics that results.json lacks. An error leaves the file unchanged."""
+        from carecontact.cli.publish import write_table
+        from carecontact.runs import append_metrics, read_results
+        from carecontact.runs.scoring import beside_plan
 
-def _need_rows(folder: Path, run: RunScores) -> None:
-    """Check that there is something to show.
+        if wrong := [name for name in options if name not in ("--rescore", "--append", "--json", "--verbose")]:
+            raise ConfigError(f"{wrong[0]} does not go with --append, which adds to {RESULTS} and writes no page")
+        found = append_metrics(self.place)
+        if found.metrics:
+            print(f"added to {counted(found.trials, 'trial')}: {', '.join(found.metrics)}")
+        else:
+            print(f"nothing to add: {RESULTS} has every metric of this release")
+        if found.gone:
+            print(f"warning: no recording of {', '.join(found.gone)}; what {RESULTS} says of it stays as it was")
+        if found.not_listed:
+            others = ", ".join(found.not_listed)
+            print(f"recordings that {RESULTS} does not list (leave out --append to include them): {others}")
+        print(f"scores: {found.path}")
+        run = beside_plan(self.place, read_results(found.path))
+        if found.metrics:
+            print(write_table(self.place, run.scores))
+        status = 1 if found.gone else 0
+        self._answer(run, wrote=bool(found.metrics), status=status, added=found.metrics)
+        return status
 
-    Raises ConfigError if no recording could be scored, and RecordingError, which names the recording and its
-    package, for an action or a region that nothing here registers: the report that is there stays."""
-    from carecontact.interface.regions import REGIONS
-    from carecontact.protocol.gates import BEHAVIOURS
-    from carecontact.recording import read_header
+    def _answer(self, run: RunScores, *, wrote: bool, status: int, added: list[str] | None = None) -> None:
+        if not self.output.json:
+            return
+        from carecontact.cli.result_answers import ScoreAnswer
+        from carecontact.runs.results_file import results
 
-    if not run.scores:
-        why = next(iter(run.skipped.values()), "there are none")
-        raise ConfigError(f"{folder}: no recording can be scored, so no report is written; the first: {why}")
-    for score in run.scores:
-        if score.action not in BEHAVIOURS or score.region not in REGIONS:
-            read_header(folder / f"{score.trial_id}.h5")
+        content = results(run)
+        print_answer(
+            ScoreAnswer(
+                folder=str(self.place),
+                results=str(self.place / RESULTS) if wrote else None,
+                added=added,
+                skipped=run.skipped,
+                missing=list(run.missing),
+                overall=content["overall"] if run.scores else None,
+                per_task=content["per_task"],
+                status=status,
+            )
+        )

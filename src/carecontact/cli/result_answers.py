@@ -75,9 +75,6 @@ class Summary(Part):
     attributions: dict[str, int]
 
 
-# The answer of `carecontact score`.
-
-
 class ScoreAnswer(Answer):
     kind: Annotated[Literal["carecontact-score-1"], Field(alias="schema")] = "carecontact-score-1"
     folder: str
@@ -94,9 +91,6 @@ class ScoreAnswer(Answer):
     per_task: dict[str, Summary]
     status: int
     """Exit status of the command."""
-
-
-# The answers of `carecontact run`: a line for each trial, and one at the end.
 
 
 class TrialAnswer(Answer):
@@ -147,9 +141,6 @@ class RunAnswer(Answer):
     """Exit status of the command."""
 
 
-# The answer of `carecontact compare`.
-
-
 class CompareAnswer(Answer):
     """Rates and their differences are fractions. Differences are A minus B."""
 
@@ -164,9 +155,6 @@ class CompareAnswer(Answer):
     """The overview of more than two runs; else null."""
     baselines: dict[str, Baselines]
     """Letter of a run -> the blind baselines beside it; empty without ``--baseline``."""
-
-
-# The answers of `carecontact sweep`.
 
 
 class SweepCellAnswer(Answer):
@@ -207,8 +195,6 @@ class SweepAnswer(Answer):
     gate_orders: tuple[GateOrder, ...]
     """The order of the policies under other gates."""
 
-
-# Every kind of line that `--json` prints.
 
 ANSWERS: tuple[type[Answer], ...] = (
     ListAnswer,

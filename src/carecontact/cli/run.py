@@ -1,30 +1,32 @@
-"""``carecontact run``: plan, run what is missing, score, report; ``carecontact demo`` does it once for the seven
-tasks."""
+"""``carecontact run``: plan, run what is missing, score, report; with ``--demo`` once for the seven tasks."""
 
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import time
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
-from carecontact.cli.console import print_answer
+from carecontact.cli.console import print_answer, same_command, without_secret
 from carecontact.cli.groups import (
-    FLAT,
     EngineGroup,
-    JobsGroup,
-    JsonGroup,
     PhysicsGroup,
     PolicyGroup,
     RulesGroup,
     SaltGroup,
     Switch,
+    VerboseGroup,
     VisionGroup,
+    check_folder,
 )
+from carecontact.cli.parsing import UsageError, given_options
 from carecontact.errors import ConfigError, RecordingError, counted
 
 if TYPE_CHECKING:
@@ -32,74 +34,15 @@ if TYPE_CHECKING:
 
     from carecontact.interface.policy import PolicyCard
     from carecontact.protocol.protocol import Protocol, TrialSpec
-    from carecontact.running.scorer import Scorer
     from carecontact.running.supervisor import RunSummary, TrialEvent
     from carecontact.runs.manifest import Purpose
     from carecontact.runs.pooling import RunScores
+    from carecontact.runs.scorer import Scorer
     from carecontact.scoring.result import TrialScore
     from carecontact.serving.conversation import PolicySetup
 
-
-# The lines of JSON that `carecontact run --json` prints.
-
-
-def say_trial(event: TrialEvent, folder: Path, scorer: Scorer) -> None:
-    """Write how a trial ended, if the event is its end.
-
-    Args:
-        scorer: was given the trials that ran.
-    """
-    from carecontact.cli.result_answers import TrialAnswer
-
-    if event.kind not in ("kept", "finished") or event.ended is None:
-        return
-    kept = event.kind == "kept"
-    # An earlier command may have kept many, and results.json has the scores of all of them in the end.
-    score = None if kept else scorer.score_of(folder / f"{event.trial_id}.h5")
-    print_answer(
-        TrialAnswer(
-            trial_id=event.trial_id,
-            ended=event.ended,
-            kept=kept,
-            done=event.done,
-            total=event.total,
-            message=event.message,
-            score=score,
-        )
-    )
-
-
-def say_run(spec: TrialSpec, folder: Path, summary: RunSummary, *, status: int) -> None:
-    """Write the summary of the run.
-
-    Args:
-        spec: any trial of the run.
-    """
-    from carecontact.cli.result_answers import RunAnswer, RunProtocol
-    from carecontact.cli.score import RESULTS
-
-    try:
-        results = json.loads((folder / RESULTS).read_bytes())
-    except FileNotFoundError:
-        results = {"overall": None, "skipped": {}}
-    protocol = spec.protocol
-    print_answer(
-        RunAnswer(
-            folder=str(folder),
-            policy=spec.policy,
-            protocol=RunProtocol(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
-            ended=summary.ended,
-            ran=list(summary.ran),
-            kept=list(summary.kept),
-            late=summary.late,
-            skipped=results["skipped"],
-            overall=results["overall"],
-            status=status,
-        )
-    )
-
-
-# ``carecontact run``: plan, run what is missing, score, report.
+DEMO_POLICY, DEMO_SEED, DEMO_OUT = "state-machine", 0, Path("runs/demo")
+DEMO_OPTIONS = ("--demo", "--out", "--jobs", "--verbose")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,23 +50,26 @@ class Run:
     """Run trials of one policy, score them and write the report. The same command, given again, runs only the trials
     that are missing."""
 
-    policy: str
+    policy: str | None = None
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
     ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
     servers)."""
-    given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
-    out: Path
-    """Folder for recordings, results.json and report.html."""
+    demo: Switch = False
+    """Without --policy: run the seven tasks once with state-machine into runs/demo, in place of an earlier demo, and
+    fail unless the robot really touched, pushed and scrubbed. Only --out, --jobs and --verbose go with it."""
+    given: PolicyGroup = field(default_factory=PolicyGroup)
+    out: Path | None = None
+    """Folder for recordings, results.json and report.html; default: runs/POLICY-TIME."""
     tasks: str = "all"
     """Tasks to run: a list (T1,T2), a range (T1-T7), or all."""
     seeds: str = "all"
     """Seeds to run: one (3), a list (0,4,7), a range (0-19), or all."""
-    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
-    physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
+    rules: RulesGroup = field(default_factory=RulesGroup)
+    physics: PhysicsGroup = field(default_factory=PhysicsGroup)
     stiffness: float | None = None
     """Translational stiffness of the robot's impedance control [N/m], in place of the protocol's; every output names
     this change. If the policy commands a stiffness itself, that one applies."""
-    vision: Annotated[VisionGroup, FLAT] = field(default_factory=VisionGroup)
+    vision: VisionGroup = field(default_factory=VisionGroup)
     latency_ms: float | None = None
     """Simulated time between an observation and the first action that answers it [ms], in place of the protocol's (0:
     the world stands still while the policy computes). The last target holds meanwhile; every output names this
@@ -135,31 +81,66 @@ class Run:
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
     names the difference."""
-    parallel: Annotated[EngineGroup, FLAT] = field(default_factory=EngineGroup)
+    parallel: EngineGroup = field(default_factory=EngineGroup)
     shard: str | None = None
     """Run one part of the trials: 2/4 is the second of four parts. Give each part a folder of its own; `carecontact
     merge` makes one run of them."""
     noise_salt: str | None = None
     """Secret from which the sensor noise of a protocol is drawn: 32 hexadecimal digits. The parts of one run need the
     same; default: a fresh one."""
-    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
+    salted: SaltGroup = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed (process_failure) or the harness failed (harness_error). The
     harness is the benchmark's own process that runs a trial."""
     restart: Switch = False
-    """Begin the folder anew: carecontact moves an earlier run in --out to a folder beside it, and deletes nothing."""
+    """Run every trial again: carecontact moves an earlier run in --out to a folder beside it, and deletes nothing."""
     allow_failures: Switch = False
     """Exit with status 0 even if the policy crashed in a trial. Without this option, the status is then 3. If the
     harness failed, the status is 1 in either case."""
+    output: VerboseGroup = field(default_factory=VerboseGroup)
 
-    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+    @cached_property
+    def place(self) -> Path:
+        """Folder of the run."""
+        if self.out is not None:
+            return self.out
+        name = re.sub(r"[^A-Za-z0-9._-]+", "-", without_secret(self.policy or "")).strip("-.")
+        return DEMO_OUT if self.demo else Path("runs") / f"{name[-60:]}-{time.strftime('%Y%m%d-%H%M%S')}"
 
-    after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
+    @property
+    def after_interrupt(self) -> str:
+        if self.demo:
+            return "; finished trials stay in the folder until the next demo there replaces them"
+        return f"; finished trials are kept; to continue: {same_command(self.place)}"
 
     def __call__(self) -> int:
-        return self.execute(purpose="run")
+        if self.demo:
+            return self._demonstrate()
+        if self.policy is None:
+            raise UsageError("run: name a policy with --policy (`carecontact list policies`), or give --demo")
+        return self.execute(self.policy, purpose="run")
 
-    def execute(self, *, purpose: Purpose) -> int:
+    def _demonstrate(self) -> int:
+        """Run the demo. Return 1 if anything keeps it from being one."""
+        from carecontact.protocol.load import load_protocol
+        from carecontact.running.supervisor import check_jobs
+        from carecontact.runs.lock import folder_lock
+
+        if wrong := [option for option in given_options(self) if option not in DEMO_OPTIONS]:
+            raise ConfigError(f"{wrong[0]} does not go with --demo, which takes only {', '.join(DEMO_OPTIONS[1:])}")
+        began = time.monotonic()
+        check_jobs(self.parallel.jobs)
+        trials = [f"{task.id}-s{DEMO_SEED:03d}" for task in load_protocol().tasks]
+        with folder_lock(self.place, make=True):
+            remove_earlier_demo(self.place, trial_ids=trials)
+            replace(self, seeds=str(DEMO_SEED), out=self.place).execute(DEMO_POLICY, purpose="demo")
+        problems = check_demo(self.place, trial_ids=trials)
+        for problem in problems:
+            print(f"demo: {problem}")
+        print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
+        return 1 if problems else 0
+
+    def execute(self, policy: str, *, purpose: Purpose) -> int:
         """Return 1 if the harness failed in any trial or a recording was skipped, else 3 if the policy crashed in one.
 
         A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
@@ -175,15 +156,15 @@ class Run:
         shard = None if self.shard is None else Shard.parse(self.shard)
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
-        salt, setup = self.salted.salt, policy_setup(self.policy, self.given)
+        salt, setup = self.salted.salt, policy_setup(policy, self.given)
         setup = replace(setup, closed=(*setup.closed, *self.salted.closed))
-        if told := check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus):
-            print(f"warning: {told}")
+        if warning := check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus):
+            print(f"warning: {warning}")
         rules = self._protocol()
         tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
-            held.enter_context(folder_lock(self.out, make=True))
-            closed = replace(setup, closed=(*setup.closed, *runs_beside(self.out)))
+            held.enter_context(folder_lock(self.place, make=True))
+            closed = replace(setup, closed=(*setup.closed, *runs_beside(self.place)))
             card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
             planned = plan_trials(
                 protocol=rules,
@@ -195,8 +176,8 @@ class Run:
             )
             planned = with_noise_salt(with_salt(planned, salt), self.noise_salt, one_of_several=shard is not None)
             specs = planned if shard is None else shard.of(planned)
-            if self.restart and restart(self.out):
-                held.enter_context(folder_lock(self.out, make=True))
+            if self.restart and restart(self.place):
+                held.enter_context(folder_lock(self.place, make=True))
             whole = [spec.trial_id for spec in planned]
             return self._run(specs, setup, card=card, purpose=purpose, whole=whole)
 
@@ -204,14 +185,14 @@ class Run:
         self, specs: list[TrialSpec], setup: PolicySetup, *, card: PolicyCard | None, purpose: Purpose, whole: list[str]
     ) -> int:
         from carecontact.cli.policy import arguments_text
-        from carecontact.running.scorer import Scorer
         from carecontact.running.workers import available_cores
         from carecontact.runs import write_scores
+        from carecontact.runs.scorer import Scorer
 
         title = specs[0].protocol.title
         part = f", part {self.shard}," if self.shard else ""
         trials = f"{counted(len(specs), 'trial')} of {title}{part}"
-        print(f"{setup.ref}{arguments_text(setup)}: {trials} into {self.out}", flush=True)
+        print(f"{setup.ref}{arguments_text(setup)}: {trials} into {self.place}", flush=True)
         if specs[0].commitment:
             print(f"salted: sha256 {specs[0].commitment}", flush=True)
         cores = min(available_cores(), self.parallel.jobs or available_cores())
@@ -223,19 +204,18 @@ class Run:
             if scores and (damaged := [trial for trial in summary.kept if f"{trial}.h5" in scores.skipped]):
                 print(f"damaged recordings, whose trials run again: {', '.join(damaged)}", flush=True)
                 if scores.scores:
-                    write_scores(self.out, scores)  # The trials that run again may be stopped.
+                    write_scores(self.place, scores)  # The trials that run again may be stopped.
                 again = [spec for spec in specs if spec.trial_id in damaged]
                 summary = summary.followed_by(self._trials(again, setup, scorer, suspects=damaged, **more))
                 scores = self._scores(summary, scorer)
             status = self._finish(summary, scores) if scores else 0
         if self.output.json and summary.unreached is None:
-            say_run(specs[0], self.out, summary, status=status)
+            self._answer_run(specs[0], summary, status=status)
         if summary.unreached is not None:
-            again = "the same command again" + (" without --restart" if self.restart else "")
             why = summary.unreached.removeprefix(f"policy {setup.ref.text!r} failed at start: ")
             raise ConfigError(
-                f"the run stops with {len(summary.ended)} of {counted(len(specs), 'trial')} done: {why}; then give "
-                f"{again} to continue"
+                f"the run stops with {len(summary.ended)} of {counted(len(specs), 'trial')} done: {why}; then continue "
+                f"with: {same_command(self.place)}"
             )
         return status
 
@@ -243,10 +223,10 @@ class Run:
         from carecontact.cli.progress import progress
         from carecontact.running.supervisor import run_trials
 
-        with progress(self.out, scorer) as on_event:
+        with progress(self.place, scorer) as on_event:
             return run_trials(
                 specs,
-                out=self.out,
+                out=self.place,
                 jobs=self.parallel.jobs,
                 engine=self.parallel.engine,
                 gpus=self.parallel.gpus,
@@ -262,36 +242,81 @@ class Run:
         if event.kind == "warned":
             print(f"warning: the first answer of {event.trial_id}, {event.message}", flush=True)
         if self.output.json:
-            say_trial(event, self.out, scorer)
+            self._answer_trial(event, scorer)
 
     def _scores(self, summary: RunSummary, scorer: Scorer) -> RunScores | None:
         """Score the recordings; None if no trial has ended."""
-        from carecontact.cli.score import scores_of
+        from carecontact.cli.publish import scores_of
 
-        return scores_of(self.out, scored=scorer.take) if summary.ended else None
+        return scores_of(self.place, scored=scorer.take) if summary.ended else None
 
     def _finish(self, summary: RunSummary, scores: RunScores) -> int:
-        """Write results.json and the report, print the table, and return the exit status."""
-        from carecontact.cli.progress import failed_status, print_failed
-        from carecontact.cli.score import publish
+        """Write results.json and the report, print the scores, and return the exit status."""
+        from carecontact.cli.progress import print_failed, status_of, throughput
+        from carecontact.cli.publish import publish
         from carecontact.report.words import clipped_text
 
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
-        publish(self.out, scores, compare=not summary.ran, page=True)
-        print(f"a page for each trial: carecontact report {shlex.quote(str(self.out))} --trials")
-        print_failed(summary.ended, out=self.out)
-        if summary.ran:
-            print(throughput(len(summary.ran), summary.wall_s, summary.most_at_once))
+        publish(self.place, scores, compare=not summary.ran, verbose=self.output.verbose)
+        if self.output.verbose:
+            print(f"a page for each trial: carecontact report {shlex.quote(str(self.place))} --trials")
+            if summary.ran:
+                print(throughput(len(summary.ran), summary.wall_s, summary.most_at_once))
+        print_failed(summary.ended, out=self.place, again=same_command(self.place))
         if summary.late:
-            late, verb = sum(summary.late.values()), "was" if sum(summary.late.values()) == 1 else "were"
+            late, trials = counted(sum(summary.late.values()), "observation"), counted(len(summary.late), "trial")
             print(
-                f"warning: --pace {self.pace:g}: {counted(late, 'observation')} of "
-                f"{counted(len(summary.late), 'trial')} {verb} not ready in time, which may reveal contact; give a "
+                f"warning: --pace {self.pace:g}: {late} of {trials} came too late, which may reveal contact; give a "
                 "longer --pace, or fewer --jobs"
             )
         if clipped := clipped_text(scores.scores):
             print(f"warning: {clipped}")
-        return failed_status(summary.ended, allow_failures=self.allow_failures) if not scores.skipped else 1
+        return 1 if scores.skipped else status_of(Counter(summary.ended.values()), allow_failures=self.allow_failures)
+
+    def _answer_trial(self, event: TrialEvent, scorer: Scorer) -> None:
+        """Print how a trial ended as JSON, if the event is its end. ``scorer`` was given the trials that ran."""
+        from carecontact.cli.result_answers import TrialAnswer
+
+        if event.kind not in ("kept", "finished") or event.ended is None:
+            return
+        kept = event.kind == "kept"
+        print_answer(
+            TrialAnswer(
+                trial_id=event.trial_id,
+                ended=event.ended,
+                kept=kept,
+                done=event.done,
+                total=event.total,
+                message=event.message,
+                # Earlier commands may have kept many, and results.json has the scores of all of them in the end.
+                score=None if kept else scorer.score_of(self.place / f"{event.trial_id}.h5"),
+            )
+        )
+
+    def _answer_run(self, spec: TrialSpec, summary: RunSummary, *, status: int) -> None:
+        """Print the summary of the run as JSON. ``spec`` is any trial of it."""
+        from carecontact.cli.result_answers import RunAnswer, RunProtocol
+        from carecontact.runs.results_file import RESULTS_NAME
+
+        try:
+            results = json.loads((self.place / RESULTS_NAME).read_bytes())
+        except FileNotFoundError:
+            results = {"overall": None, "skipped": {}}
+        protocol = spec.protocol
+        print_answer(
+            RunAnswer(
+                folder=str(self.place),
+                policy=spec.policy,
+                protocol=RunProtocol(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
+                ended=summary.ended,
+                ran=list(summary.ran),
+                kept=list(summary.kept),
+                late=summary.late,
+                skipped=results["skipped"],
+                overall=results["overall"],
+                status=status,
+            )
+        )
 
     def _protocol(self) -> Protocol:
         """Return the protocol of the run.
@@ -317,16 +342,6 @@ class Run:
         return rules
 
 
-def throughput(trials: int, wall_s: float, most_at_once: int) -> str:
-    """Return one line about how fast the trials ran.
-
-    Args:
-        wall_s: time that they took [s].
-    """
-    rate = f"{60 * trials / wall_s:.1f} a minute"
-    return f"{counted(trials, 'trial')} in {wall_s:.0f} s, at most {most_at_once} at once: {rate}"
-
-
 def restart(out: Path) -> bool:
     """Move an earlier run aside and print its new place. Return whether there was an earlier run.
 
@@ -339,45 +354,6 @@ def restart(out: Path) -> bool:
     return moved is not None
 
 
-# ``carecontact demo``: runs the seven tasks once and checks that the robot really touched, pushed and scrubbed.
-
-POLICY = "state-machine"
-SEED = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Demo:
-    """Run the seven tasks once with the state machine. The command fails unless the robot really touched, pushed and
-    scrubbed."""
-
-    out: Path = Path("runs/demo")
-    """Folder for the demo. The command replaces an earlier demo in it, and refuses a folder that holds anything
-    else."""
-    parallel: Annotated[JobsGroup, FLAT] = field(default_factory=JobsGroup)
-
-    after_interrupt: ClassVar[str] = "; finished trials stay in the folder until the next demo there replaces them"
-
-    def __call__(self) -> int:
-        from carecontact.protocol.load import load_protocol
-        from carecontact.running.supervisor import check_jobs
-        from carecontact.runs.lock import folder_lock
-
-        began = time.monotonic()
-        check_jobs(self.parallel.jobs)
-        run = Run(policy=POLICY, out=self.out, seeds=str(SEED), parallel=EngineGroup(jobs=self.parallel.jobs))
-        trial_ids = [
-            f"{task.id}-s{SEED:03d}" for task in load_protocol(run.rules.protocol, level=run.rules.level).tasks
-        ]
-        with folder_lock(self.out, make=True):
-            remove_earlier_demo(self.out, trial_ids=trial_ids)
-            run.execute(purpose="demo")
-        problems = check_demo(self.out, trial_ids=trial_ids)
-        for problem in problems:
-            print(f"demo: {problem}")
-        print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
-        return 1 if problems else 0
-
-
 def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
     """Remove what an earlier demo of the same trials wrote into ``out``, and nothing else.
 
@@ -387,15 +363,13 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
     from carecontact.runs.lock import LOCK
     from carecontact.runs.manifest import MANIFEST, read_manifest
 
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out {out}: this is a file; name a folder")
+    check_folder(out)
     if not out.exists() or all(path.name == LOCK for path in out.iterdir()):
         return
     manifest = read_manifest(out)
     # Of whatever protocol: the default of an earlier release had another id.
-    mine = manifest is not None and (manifest.purpose, manifest.policy, manifest.trials) == (
-        "demo", POLICY, sorted(trial_ids),
-    )  # fmt: skip
+    demo = ("demo", DEMO_POLICY, sorted(trial_ids))
+    mine = manifest is not None and (manifest.purpose, manifest.policy, manifest.trials) == demo
     foreign = sorted(path.name for path in out.glob("*.h5") if path.stem not in trial_ids)
     if not mine or foreign:
         what = f"{foreign[0]}, which no demo wrote" if mine else "something other than an earlier demo"
@@ -422,8 +396,8 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
             problems.append(str(error))
             continue
         if header.ended in FAILED:
-            told = reason_of(header.failure) if header.failure else "no reason recorded"
-            problems.append(f"{trial_id} {ended_text(header.ended)}: {told}")
+            why = reason_of(header.failure) if header.failure else "no reason recorded"
+            problems.append(f"{trial_id} {ended_text(header.ended)}: {why}")
     return problems + missing_successes(score_run(out).scores)
 
 

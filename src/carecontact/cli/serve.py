@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from carecontact.cli.console import drop_output
-from carecontact.cli.groups import FLAT, PolicyGroup
+from carecontact.cli.groups import PolicyGroup
 from carecontact.errors import ConfigError
 
 
@@ -20,7 +20,7 @@ class Serve:
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """Name from `carecontact list policies`, or module:Class, importable from the current folder."""
-    given: Annotated[PolicyGroup, FLAT] = field(default_factory=PolicyGroup)
+    given: PolicyGroup = field(default_factory=PolicyGroup)
     host: str = "127.0.0.1"
     """Address to listen on; 0.0.0.0 listens on all addresses of this host."""
     port: int = 8765

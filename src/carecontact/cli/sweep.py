@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch
+from carecontact.cli.console import print_answer, same_command
+from carecontact.cli.groups import EngineGroup, JsonGroup, PolicyGroup, SaltGroup, Switch, Verbose
 from carecontact.errors import ConfigError, DependencyError, counted
 
 if TYPE_CHECKING:
     from carecontact.cli.progress import SweepProgress
-    from carecontact.report.sweep_table import SweepTable
-    from carecontact.running.scorer import Scorer
+    from carecontact.report.sweep_table import CellScores, SweepTable
     from carecontact.running.supervisor import RunSummary, TrialEvent
     from carecontact.running.sweep import SweptPolicy
     from carecontact.runs.merge import Merged
     from carecontact.runs.pooling import RunScores
+    from carecontact.runs.scorer import Scorer
     from carecontact.runs.sweep import Cell, Plan, PlannedPolicy
-    from carecontact.scoring.result import TrialScore
     from carecontact.serving.conversation import PolicySetup
 
 
@@ -52,8 +52,8 @@ def computed(folder: Path) -> RunScores | None:
     return beside_plan(folder, score_run(folder))
 
 
-def store(folder: Path, *, anew: bool, scorer: Scorer | None = None) -> None:
-    """Write the results of a cell. Unless ``anew`` is true, existing results that belong to its recordings stay.
+def store(folder: Path, *, rescore: bool, scorer: Scorer | None = None) -> None:
+    """Write the results of a cell. Unless ``rescore`` is true, existing results that belong to its recordings stay.
 
     Args:
         scorer: has scored the trials that ran; it scores the others too.
@@ -61,7 +61,7 @@ def store(folder: Path, *, anew: bool, scorer: Scorer | None = None) -> None:
     from carecontact.runs import score_run, write_scores
     from carecontact.runs.scoring import beside_plan
 
-    if anew or stored(folder) is None:
+    if rescore or stored(folder) is None:
         if scorer is None:
             scores = score_run(folder)
         else:
@@ -78,20 +78,20 @@ class Sweep:
 
     plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN.toml")]
     """File with the policies, the axes, the tasks and the seeds."""
-    out: Path
-    """Folder for sweep.html, sweep.md, sweep.csv and, below cells/, one run for each cell."""
+    out: Path | None = None
+    """Folder for sweep.html, sweep.md, sweep.csv and, below cells/, one run for each cell; default: runs/PLAN."""
     tasks: str | None = None
     """Tasks in place of the plan's, for a first piece of it: a list (T1,T2), a range (T1-T7), or all."""
     seeds: str | None = None
     """Seeds in place of the plan's, for a first piece of it: one (3), a list (0,4,7), a range (0-19), or all."""
-    parallel: Annotated[EngineGroup, FLAT] = field(default_factory=EngineGroup)
+    parallel: EngineGroup = field(default_factory=EngineGroup)
     shard: str | None = None
     """Run one part of the cells: 2/4 is the second of four. The parts can share --out, and the last one to end writes
     the whole table; `carecontact merge` makes one sweep of parts in several folders."""
     noise_salt: str | None = None
     """Secret from which the sensor noise is drawn in every cell whose protocol has any: 32 hexadecimal digits. With it,
     the sweep can be repeated with the same hashes; default: a fresh one for each cell."""
-    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
+    salted: SaltGroup = field(default_factory=SaltGroup)
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed or the harness failed."""
     allow_rejected: Switch = False
@@ -100,11 +100,17 @@ class Sweep:
     """Print the cells and how many of their trials are recorded, and run nothing."""
     table_only: Switch = False
     """Write the table of the trials that are recorded, and run nothing."""
-    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+    output: JsonGroup = field(default_factory=JsonGroup)
 
-    after_interrupt: ClassVar[str] = (
-        "; finished trials are kept; give the same command again to continue, or with --table-only for their table"
-    )
+    @property
+    def place(self) -> Path:
+        """Folder of the sweep."""
+        return self.out or Path("runs") / self.plan.stem
+
+    @property
+    def after_interrupt(self) -> str:
+        command = same_command(self.place)
+        return f"; finished trials are kept; to continue, or with --table-only for their table: {command}"
 
     def __call__(self) -> int:
         """Return 1 if the harness failed in any trial or one could not be scored, else 3 if a policy crashed in one.
@@ -127,23 +133,22 @@ class Sweep:
         trials = sum(len(cell.specs) for cell in mine)
         part = f", part {self.shard} of them" if shard else ""
         print(
-            f"{self.plan}: {counted(len(mine), 'cell')}{part}, {counted(trials, 'trial')}, into {self.out}", flush=True
+            f"{self.plan}: {counted(len(mine), 'cell')}{part}, {counted(trials, 'trial')}, into {self.place}",
+            flush=True,
         )
         if self.dry_run:
             for cell in mine:
-                self._say_cell(cell)
+                self._print_cell(cell)
             return 0
         policies = self._checked(plan, setups, mine)
-        (self.out / CELLS).mkdir(parents=True, exist_ok=True)
+        (self.place / CELLS).mkdir(parents=True, exist_ok=True)
         began = time.monotonic()
         progress = SweepProgress(cells=len(mine), trials=trials)
         unreached = self._run(mine, policies, progress)
-        progress.say_throughput(time.monotonic() - began)
+        progress.print_throughput(time.monotonic() - began)
         status = self._table(plan, cells, stored) or progress.status()
         if unreached:
-            raise ConfigError(
-                f"{'; '.join(unreached)}; then give the same command again for the trials that are missing"
-            )
+            raise ConfigError(f"{'; '.join(unreached)}; then run the missing trials with: {same_command(self.place)}")
         return status
 
     def _planned(self, plan: Plan) -> tuple[list[Cell], list[PolicySetup]]:
@@ -158,7 +163,7 @@ class Sweep:
             check_accepted(place.protocol, allowed=self.allow_rejected or self.table_only)
         try:
             setups = [policy_setup(planned.policy, _options(planned)) for planned in plan.policies]
-            closed = (*self.salted.closed, str(self.out.resolve()))
+            closed = (*self.salted.closed, str(self.place.resolve()))
             setups = [replace(setup, closed=(*setup.closed, *closed)) for setup in setups]
             named = [
                 (planned.label or _title(planned), setup.ref.text, setup.arguments, tuple(setup.environment))
@@ -175,8 +180,8 @@ class Sweep:
         from carecontact.running.supervisor import check_engine
         from carecontact.running.sweep import SweptPolicy
 
-        if told := check_engine(self.parallel.engine, *setups, gpus=self.parallel.gpus):
-            print(f"warning: {told}")
+        if warning := check_engine(self.parallel.engine, *setups, gpus=self.parallel.gpus):
+            print(f"warning: {warning}")
         deadline_s = cells[0].place.protocol.phases.first_call_deadline_s
         needed = {cell.policy for cell in cells if self.retry_failed or self._lacking(cell)}
         swept: list[SweptPolicy] = []
@@ -191,10 +196,9 @@ class Sweep:
     def _folder(self, cell: Cell) -> Path:
         from carecontact.runs.sweep import CELLS
 
-        return self.out / CELLS / cell.name
+        return self.place / CELLS / cell.name
 
-    def _say_cell(self, cell: Cell) -> None:
-        from carecontact.cli.console import print_answer
+    def _print_cell(self, cell: Cell) -> None:
         from carecontact.cli.result_answers import SweepCellAnswer
 
         folder, planned = self._folder(cell), len(cell.specs)
@@ -211,9 +215,9 @@ class Sweep:
 
     def _run(self, cells: Sequence[Cell], policies: Sequence[SweptPolicy], progress: SweepProgress) -> list[str]:
         """Return why policies could not be reached, once for each reason."""
-        from carecontact.running.scorer import Scorer
         from carecontact.running.sweep import run_cells
         from carecontact.running.workers import available_cores
+        from carecontact.runs.scorer import Scorer
 
         cores = min(available_cores(), self.parallel.jobs or available_cores())
         trials = sum(len(cell.specs) for cell in cells)
@@ -231,15 +235,20 @@ class Sweep:
                     unreached.setdefault(summary.unreached)
                 progress.done(cell, summary)
                 if summary.ended:
-                    anew = bool(summary.ran)
-                    written.append(writer.submit(store, self._folder(cell), anew=anew, scorer=scorer))
+                    ran = bool(summary.ran)
+                    written.append(writer.submit(store, self._folder(cell), rescore=ran, scorer=scorer))
 
+            engine = self.parallel
+            options = {"engine": engine.engine, "gpus": engine.gpus, "retry_failed": self.retry_failed}
             run_cells(
-                cells, policies, folder=self._folder, jobs=self.parallel.jobs, on_event=take, on_done=done,
-                options={
-                    "engine": self.parallel.engine, "gpus": self.parallel.gpus, "retry_failed": self.retry_failed
-                },
-            )  # fmt: skip
+                cells,
+                policies,
+                folder=self._folder,
+                jobs=engine.jobs,
+                on_event=take,
+                on_done=done,
+                options=options,
+            )
             for each in written:
                 each.result()
         return list(unreached)
@@ -250,32 +259,20 @@ class Sweep:
         Args:
             read: the scores of a cell's folder.
         """
-        from carecontact.policies.registry import role_of
         from carecontact.report.sweep_page import write_sweep
-        from carecontact.report.sweep_table import CellScores, sweep_table
+        from carecontact.report.sweep_table import sweep_table
         from carecontact.report.sweep_texts import sentences
 
-        if not self.out.is_dir():
-            raise ConfigError(f"{self.out}: no such folder; name the --out of a sweep")
+        if not self.place.is_dir():
+            raise ConfigError(f"{self.place}: no such folder; name the --out of a sweep")
         found = [(cell, read(self._folder(cell))) for cell in cells]
-        table = sweep_table(
-            self.plan.stem,
-            [
-                CellScores(
-                    label=cell.label, role=role_of(cell.specs[0].policy), values=cell.place.values,
-                    folder=self._folder(cell).relative_to(self.out).as_posix(),
-                    planned=len(cell.specs), scores=_of_plan(cell, run), versions=run.versions if run else {},
-                )
-                for cell, run in found
-            ],
-            rank_by=plan.rank_by,
-        )  # fmt: skip
-        for path in write_sweep(self.out, table):
+        table = sweep_table(self.plan.stem, [self._scores(*each) for each in found], rank_by=plan.rank_by)
+        for path in write_sweep(self.place, table):
             print(f"table: {path}")
         for sentence in sentences(table):
             print(sentence)
         if self.output.json:
-            _say(table)
+            _answer(table)
         skipped = [
             f"{self._folder(cell)}: {name}: {why}" for cell, run in found if run for name, why in run.skipped.items()
         ]
@@ -283,25 +280,30 @@ class Sweep:
             print(f"skipped {line}")
         return 1 if skipped else 0
 
+    def _scores(self, cell: Cell, run: RunScores | None) -> CellScores:
+        """Return the scores of the trials in the plan. The folder may hold more, of an earlier and longer plan."""
+        from carecontact.policies.registry import role_of
+        from carecontact.report.sweep_table import CellScores
 
-def _say(table: SweepTable) -> None:
-    from carecontact.cli.console import print_answer
+        wanted = {spec.trial_id for spec in cell.specs}
+        return CellScores(
+            label=cell.label,
+            role=role_of(cell.specs[0].policy),
+            values=cell.place.values,
+            folder=self._folder(cell).relative_to(self.place).as_posix(),
+            planned=len(cell.specs),
+            scores=[score for score in run.scores if score.trial_id in wanted] if run else [],
+            versions=run.versions if run else {},
+        )
+
+
+def _answer(table: SweepTable) -> None:
     from carecontact.cli.result_answers import SweepAnswer
 
-    print_answer(
-        SweepAnswer(
-            title=table.title,
-            axes=table.axes,
-            policies=table.policies,
-            rank_by=table.rank_by,
-            trials=sum(len(row.cell.scores) for row in table.rows),
-            planned=sum(row.cell.planned for row in table.rows),
-            stability=table.stability,
-            ladder=table.ladder,
-            factors=table.factors,
-            gate_orders=table.gate_orders,
-        )
-    )
+    same = ("title", "axes", "policies", "rank_by", "stability", "ladder", "factors", "gate_orders")
+    cells = [row.cell for row in table.rows]
+    counts = {"trials": sum(len(cell.scores) for cell in cells), "planned": sum(cell.planned for cell in cells)}
+    print_answer(SweepAnswer.model_validate({**{name: getattr(table, name) for name in same}, **counts}))
 
 
 def _options(planned: PlannedPolicy) -> PolicyGroup:
@@ -320,12 +322,6 @@ def _title(planned: PlannedPolicy) -> str:
     return " ".join([planned.policy, *(f"{name}={value}" for name, value in planned.arguments.items()), *language])
 
 
-def _of_plan(cell: Cell, run: RunScores | None) -> list[TrialScore]:
-    """Return the scores of the trials in the plan. The folder may hold more trials, of an earlier and longer plan."""
-    wanted = {spec.trial_id for spec in cell.specs}
-    return [score for score in run.scores if score.trial_id in wanted] if run is not None else []
-
-
 @dataclass(frozen=True, kw_only=True)
 class Merge:
     """Make one run of the parts that `carecontact run --shard` made on several machines, score it and write its report.
@@ -335,13 +331,14 @@ class Merge:
     """Folder for the whole run or sweep: a new one, or one that more parts are added to."""
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
     """Folders of the parts. They stay as they are."""
+    verbose: Verbose = False
+    """Also print medians, counts, limits and the files that were written."""
 
     after_interrupt: ClassVar[str] = "; give the same command again to continue"
 
     def __call__(self) -> int:
         """Return 1 if a planned trial has no recording, or a recording cannot be scored. Raises as ``merge_runs``."""
-        from carecontact.cli.score import rescore
-        from carecontact.errors import ConfigError
+        from carecontact.cli.publish import publish, scores_of
         from carecontact.runs.lock import folder_lock
         from carecontact.runs.merge import is_sweep, merge_runs
 
@@ -352,7 +349,8 @@ class Merge:
         merged = merge_runs(self.out, self.runs)
         self._say("", [merged])
         with folder_lock(self.out):
-            scores = rescore(self.out, compare=False, page=True)
+            scores = scores_of(self.out)
+            publish(self.out, scores, compare=False, verbose=self.verbose)
         return 1 if merged.missing or scores.skipped else 0
 
     def _merge_sweeps(self) -> int:
@@ -366,7 +364,7 @@ class Merge:
         for name, cell in merged.items():
             folder = self.out / CELLS / name
             if any(folder.glob("*.h5")):
-                store(folder, anew=False)
+                store(folder, rescore=False)
             run = stored(folder)
             lines = [f"skipped {file}: {why}" for file, why in run.skipped.items()] if run else []
             if cell.missing:
@@ -380,6 +378,6 @@ class Merge:
 
     def _say(self, cells: str, merged: list[Merged]) -> None:
         copied, already = (sum(getattr(each, name) for each in merged) for name in ("copied", "already"))
-        told = f", {already} were there already" if already else ""
+        known = f", {already} were there already" if already else ""
         parts, recordings = counted(len(self.runs), "part"), counted(copied, "recording")
-        print(f"{parts}{cells}: {recordings} copied into {self.out}{told}", flush=True)
+        print(f"{parts}{cells}: {recordings} copied into {self.out}{known}", flush=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Literal, get_args
 
@@ -18,13 +17,11 @@ from carecontact.human.skeleton import body_name
 from carecontact.interface.regions import REGIONS, Tube
 from carecontact.protocol.gates import Vec3
 from carecontact.protocol.protocol import Protocol
-from carecontact.protocol.sections import BasePlacement, Camera
+from carecontact.protocol.sections import BasePlacement
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, follow
-from carecontact.world.randomization import Place
+from carecontact.world.randomization import Place, Posture, overhead_of, place_of
 from carecontact.world.scene import build_scene
-
-# What parking knows of a person who has settled: the skin to be reached, the limb and the rest of the body.
 
 Array = npt.NDArray[np.float64]
 
@@ -126,8 +123,6 @@ def _skin(simulation: Simulation, region: str) -> Array:
     return places
 
 
-# Whether the robot may stand at a place: the checks of one base beside one person, beginning with the cheapest.
-
 Refusal = Literal["bed", "board", "limb", "reach", "workspace", "parked tool", "shadow", "path", "joints", "posture"]
 REFUSALS: tuple[Refusal, ...] = get_args(Refusal)
 """Why a base does not serve, in the order of the checks: the pedestal would stand in the bed, in the arm board or too
@@ -173,41 +168,26 @@ class Base:
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-@dataclass(frozen=True, kw_only=True)
 class PlacementCheck:
-    """One person in one place, and what the robot must keep clear of."""
+    """One person in one place on one level, and what the robot must keep clear of."""
 
-    protocol: Protocol
-    laid: LyingPerson
-    moved: tuple[LyingPerson, ...]
-    """The same person after moving the arm as far as any level allows, in either direction."""
-    overhead: Camera
-    board_turn: Array
-    """(3, 3) rotation of the arm board in the world."""
-    board_middle: Array
-    """(3,) middle of the arm board in the world [m]."""
-
-    @cached_property
-    def _limb(self) -> Array:
-        """(n, 3) points along the limb in the world [m]."""
-        return _points_along(self.laid.limb)
-
-    @cached_property
-    def _moved_limb(self) -> Array:
-        return np.concatenate([_points_along(laid.limb) for laid in self.moved] or [np.zeros((0, 3))])
-
-    @cached_property
-    def _cloud(self) -> Array:
-        return np.concatenate([self.laid.cloud, *(laid.cloud[laid.on_arm] for laid in self.moved)])
-
-    @cached_property
-    def _arm(self) -> Arm:
-        return Arm(self.protocol.scene.robot)
-
-    @cached_property
-    def _parked(self) -> Array:
-        """(joints + 2, 4, 4) poses of the parked arm's links in the robot's base."""
-        return self._arm.links(np.array([self.protocol.scene.parked_joint_rad]))[0]
+    def __init__(self, protocol: Protocol, seed: int, salt: str, person: LyingPerson, posture: Posture) -> None:
+        """``person``: as they settled with this posture in the protocol's own place."""
+        scene, place, wrist_m = protocol.scene, place_of(posture.place, protocol.variation), farthest_wrist_m(protocol)
+        self.protocol, self.overhead, self.laid = protocol, overhead_of(protocol, seed, salt), person.at(place)
+        ways = (-1.0, 1.0) if wrist_m else ()
+        self.moved = [self.laid.repositioned(way * wrist_m, protocol.regions) for way in ways]
+        """The same person after moving the arm as far as any level allows, in either direction."""
+        low, high = np.array([*scene.board_low_m, 0.0]), np.array([*scene.board_high_m, 0.0])
+        self._board_turn = (place.moved(np.eye(3)) - place.moved(np.zeros(3))).T
+        self._board_middle, self._board_half = place.moved((low + high) / 2), (high - low)[:2] / 2
+        # Points (n, 3) along the limb, along the limb after it moved, and of the person wherever they may be.
+        self._limb = _points_along(self.laid.limb)
+        self._moved_limb = np.concatenate([np.zeros((0, 3)), *(_points_along(moved.limb) for moved in self.moved)])
+        self._cloud = np.concatenate([self.laid.cloud, *(moved.cloud[moved.on_arm] for moved in self.moved)])
+        self._arm = Arm(scene.robot)
+        # (joints + 2, 4, 4) poses of the parked arm's links in the robot's base.
+        self._parked = self._arm.links(np.array([scene.parked_joint_rad]))[0]
 
     def targets(self, region: str, laid: LyingPerson) -> Array:
         """Return the places (n, 3) [m] in the world that the tool centre point must be able to reach."""
@@ -233,10 +213,8 @@ class PlacementCheck:
     def _in_the_way(self, at: Array) -> Refusal | None:
         if at[1] < BED_HALF_WIDTH_M + BED_GAP_M:
             return "bed"
-        scene = self.protocol.scene
-        half = (np.array(scene.board_high_m) - np.array(scene.board_low_m)) / 2
-        beside = ((at - self.board_middle) @ self.board_turn)[:2]
-        if np.linalg.norm(np.maximum(np.abs(beside) - half, 0.0)) < BOARD_GAP_M:
+        beside = ((at - self._board_middle) @ self._board_turn)[:2]
+        if np.linalg.norm(np.maximum(np.abs(beside) - self._board_half, 0.0)) < BOARD_GAP_M:
             return "board"
         for limb, gap in ((self._limb, LIMB_GAP_M), (self._moved_limb, MOVED_LIMB_GAP_M)):
             if np.linalg.norm((limb - at)[:, :2], axis=1).min(initial=np.inf) < gap:
@@ -252,9 +230,8 @@ class PlacementCheck:
         distance = np.hypot(level, local[:, 2] + reach.wrist_to_tcp_m - reach.shoulder_height_m)
         if distance.min() < wrist_m[0] or distance.max() > wrist_m[1]:
             return "reach"
-        low, high = (np.array(side) for side in (
-            self.protocol.impedance.workspace_low_m, self.protocol.impedance.workspace_high_m
-        ))  # fmt: skip
+        impedance = self.protocol.impedance
+        low, high = np.array(impedance.workspace_low_m), np.array(impedance.workspace_high_m)
         outside = (local < low + INSIDE_M) | (local > high - INSIDE_M)
         return "workspace" if outside.any() else None
 
@@ -280,10 +257,8 @@ class PlacementCheck:
         yaw = np.arctan2(start[1, 0], start[0, 0])
         out = targets - np.array(base.position_m)
         count, way = len(targets), np.arctan2(out[:, 1], out[:, 0])
-        path, error = follow(
-            self._arm, np.tile(self.protocol.scene.parked_joint_rad, (count, 1)), out @ base.turn, way,
-            np.full(count, yaw), base.turn, steps=PATH_STEPS,
-        )  # fmt: skip
+        parked, yaws = np.tile(self.protocol.scene.parked_joint_rad, (count, 1)), np.full(count, yaw)
+        path, error = follow(self._arm, parked, out @ base.turn, way, yaws, base.turn, steps=PATH_STEPS)
         if error.max() > PATH_ERROR:
             return "path"
         if self._arm.margin(path.reshape(-1, path.shape[-1])).min() < LEAST_MARGIN:
@@ -298,39 +273,13 @@ def _points_along(line: Array) -> Array:
     return np.concatenate([a + share * (b - a) for a, b in pairwise(line)])
 
 
-# Draws places for the robot's base until one serves.
+def farthest_wrist_m(protocol: Protocol) -> float:
+    """Return how far [m] the person may move the wrist along the board on any level."""
+    return max((level.reposition_m for level in protocol.levels.values()), default=0.0)
+
 
 NEAREST_STEP = 0.005
 """Share of the whole range by which, for parking ``nearest``, the range of the draws grows with each further draw."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BaseSearch:
-    base: Base | None
-    """The base that serves; None if no draw served."""
-    refused: tuple[Refusal, ...]
-    """Why each earlier draw was refused."""
-
-
-def search_base(
-    ground: PlacementCheck,
-    region: str,
-    parking: BasePlacement,
-    *,
-    place: np.random.Generator,
-    height: np.random.Generator,
-) -> BaseSearch:
-    """Judge draws of a base until one serves the region.
-
-    ``place``, ``height``: random streams; each draw uses its own part of both.
-    """
-    refused: list[Refusal] = []
-    for base in base_draws(parking, region, place=place, height=height):
-        reason = ground.refusal(base, region)
-        if reason is None:
-            return BaseSearch(base=base, refused=tuple(refused))
-        refused.append(reason)
-    return BaseSearch(base=None, refused=tuple(refused))
 
 
 def base_draws(
@@ -344,10 +293,8 @@ def base_draws(
         z = upright.uniform(-1.0, 1.0)
         reach = min(1.0, NEAREST_STEP * number) if parking.manner == "nearest" else 1.0
         at = middle + reach * np.array([x, y, z]) * spread
-        yield Base(
-            position_m=(float(at[0]), float(at[1]), float(at[2])),
-            yaw_deg=float(parking.centre_yaw_deg + reach * turn * parking.spread_yaw_deg),
-        )
+        yaw_deg = float(parking.centre_yaw_deg + reach * turn * parking.spread_yaw_deg)
+        yield Base(position_m=(float(at[0]), float(at[1]), float(at[2])), yaw_deg=yaw_deg)
 
 
 def _of_region(stream: np.random.Generator, region: str) -> np.random.Generator:

@@ -17,28 +17,17 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Self, cast
 
 import numpy as np
 
 from carecontact.episode.drivers import Driver, driver_of
-from carecontact.episode.log import (
-    CellLog,
-    Ended,
-    ForceCut,
-    LifeLog,
-    TrialLog,
-    cut_by_solver,
-    cut_by_speed,
-    cut_by_tool,
-    header_of,
-)
+from carecontact.episode.log import STOPPED_OVER, PersonLog, TrialLog
 from carecontact.episode.perception import Peak, PerceptionLog
 from carecontact.episode.randomization import (
     World,
     calibration,
-    constants_of,
+    drawn_facts,
     sensor_noise,
     settled_world,
     under_control,
@@ -51,8 +40,8 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.interface.regions import REGIONS
 from carecontact.interface.robot import CONTROLS, Session
 from carecontact.protocol.protocol import Protocol, TrialSpec
-from carecontact.recording.provenance import ARITHMETIC, RENDERER, arithmetic
-from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Recording
+from carecontact.recording.provenance import ARITHMETIC, DECLARED, RENDERER, arithmetic, trial_versions
+from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Header, Recording
 from carecontact.sensing.builder import ObservationBuilder, RawReadings
 from carecontact.sensing.calibration import CameraPoses
 from carecontact.sensing.grounded_sam import person_segmenter
@@ -60,7 +49,8 @@ from carecontact.sensing.keypoints import MediaPipePose
 from carecontact.sim.controllers import CartesianControl
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.rendering import SceneRenderer
-from carecontact.sim.simulation import lengths
+from carecontact.sim.simulation import Samples, lengths
+from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +60,21 @@ class Step:
     observation: Observation | None
     """None if none was requested or the episode has ended."""
     terminated: bool
-    """Whether the policy said that it is done, or the benchmark stopped the trial because of a force or diverging
-    physics."""
+    """Whether the policy declared that it is done, or the benchmark stopped the trial for safety or because the physics
+    diverged."""
     truncated: bool
     """Whether the time limit was reached."""
     reason: EndReason | None
     """How the episode ended; None while it goes on."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How an episode ended."""
+
+    reason: EndReason
+    failure: Failure | None = None
+    """What went wrong; None where nothing did."""
 
 
 class Episode:
@@ -116,7 +115,9 @@ class Episode:
         self._weights, self._digest = weights, digest or (lambda observation: bytes(32))
         self._wall_s = [started, time.monotonic()]
         self._open = ExitStack()
-        self._force_cut = ForceCut(self.protocol)
+        over_pain = self.protocol.phases.truncation_over_pain
+        self._most_n = np.array([over_pain * self.protocol.f_pain(segment) for segment in SEGMENTS])
+        """(S,) force [N] on each segment above which the benchmark stops the trial"""
         self.privileged = False
         """Whether the policy is given the simulation; the recording says so."""
         self._driver: Driver | None = None
@@ -132,15 +133,11 @@ class Episode:
 
     def _equip(self) -> None:
         """Make what belongs to one compiled world at t = 0: the log, the renderer and the memory of the peak force."""
-        self._cells, self._life = CellLog(self.simulation, self.task.region), LifeLog(self.simulation)
+        self._person = PersonLog(self.simulation, self.task.region)
         self.log = TrialLog(
             human_joints=len(self.simulation.joint_names),
             regions=len(self.protocol.regions),
-            constants={
-                **constants_of(self.simulation, self._settled),
-                **self._cells.constants(),
-                **self._life.constants(),
-            },
+            constants=self._person.constants(self._settled),
         )
         known = calibration(self.protocol, self.spec.seed, salt=self.spec.salt)
         self._renderer = SceneRenderer(self.simulation.model, protocol=self.protocol, calibration=known)
@@ -153,9 +150,7 @@ class Episode:
         self._open.enter_context(self._renderer)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
         self._closed = True
 
@@ -257,17 +252,21 @@ class Episode:
         self.answered()
         if self._unanswered:
             self._unanswered = False
-            if (ended := self._wait()) is not None:
-                return ended
-        period_s = 1.0 / self.card.control_hz
-        entries = self._driver.apply(checked, period_s)
-        clips = {"actions/clipped": np.array(clipped)} if self.card.out_of_bounds == "clip" else {}
-        self.log.add_action(self.simulation.time_s, {**entries, **clips})
-        self._run(next(self._periods))
-        if self._ended is None and action.done:
-            self._ended = Ended(reason="done")
-        self._end_in_time()
-        return self._outcome(observe=observe)
+            # The protocol's latency, during which the last target stays in force.
+            self._run(round(self.protocol.phases.latency_s / self.protocol.physics.dt_s))
+        if self._ended is None:
+            row = dict(self._driver.apply(checked, 1.0 / self.card.control_hz))
+            if self.card.out_of_bounds == "clip":
+                row["actions/clipped"] = np.array(clipped)
+            self.log.add_action(self.simulation.time_s, row)
+            self._run(next(self._periods), done=action.done)
+        reason = None if self._ended is None else self._ended.reason
+        return Step(
+            observation=self._observe() if observe and reason is None else None,
+            terminated=reason in ("done", "safety_truncation"),
+            truncated=reason == "time_limit",
+            reason=reason,
+        )
 
     def check(self, action: Action) -> tuple[Action, bool]:
         """Return an action as ``step`` executes it, in normal form, and whether it was moved into the bounds, as the
@@ -284,34 +283,15 @@ class Episode:
         self._driver.check(checked)
         return checked, inside is not action
 
-    def _wait(self) -> Step | None:
-        """Simulate the protocol's latency while the last target stays in force.
-
-        Returns how the trial ended meanwhile; None if it goes on.
-        """
-        steps = round(self.protocol.phases.latency_s / self.protocol.physics.dt_s)
-        if steps:
-            self._run(steps)
-            self._end_in_time()
-        return None if self._ended is None else self._outcome(observe=False)
-
-    def _run(self, steps: int) -> None:
+    def _run(self, steps: int, *, done: bool = False) -> None:
+        """Run physics steps up to the time limit. ``done``: whether the policy declares that it is done after them."""
         steps = min(steps, self._limit_steps - self._done_steps)
         self._ended = self._advance(steps)
         self._done_steps += steps
-
-    def _end_in_time(self) -> None:
-        if self._ended is None and self._done_steps >= self._limit_steps:
-            self._ended = Ended(reason="time_limit")
-
-    def _outcome(self, *, observe: bool) -> Step:
-        reason = None if self._ended is None else self._ended.reason
-        return Step(
-            observation=self._observe() if observe and reason is None else None,
-            terminated=reason in ("done", "safety_truncation"),
-            truncated=reason == "time_limit",
-            reason=reason,
-        )
+        if self._ended is None and done:
+            self._ended = Ended("done")
+        elif self._ended is None and self._done_steps >= self._limit_steps:
+            self._ended = Ended("time_limit")
 
     def fail(self, error: PolicyError) -> None:
         """End the episode because its policy failed; keep the policy's last observation and its notes on it."""
@@ -320,7 +300,7 @@ class Episode:
         # If the notes of the failed step cannot be kept either, the policy's first failure is the one to report.
         with suppress(PolicyError):
             self.log.add_notes(error.notes, failed=True)
-        self._ended = Ended(reason="process_failure", failure=Failure(kind=error.kind, message=str(error)))
+        self._ended = Ended("process_failure", Failure(kind=error.kind, message=str(error)))
 
     def finish(self) -> Recording:
         """Return the recording, which includes two pictures for the report. Raises ConfigError before the episode has
@@ -329,27 +309,50 @@ class Episode:
         if self._ended is None:
             raise ConfigError("Episode.finish: the episode has not ended; step until it has, or fail() it")
         extra, renders = self.log.extra, self._renderer.renders.copy()
-        extra |= self._life.ended() | self._poses.arrays()
+        extra |= self._person.ended() | self._poses.arrays()
         if self._perception is not None:
             extra |= self._perception.arrays()
         extra |= self._peak.pictures(self._renderer, region=self.task.region)
-        report_renders = (self._renderer.renders - renders).total()
+        kinds = ("rgb", "depth", "robot_depth", "cell_depth", "truth")
         began, settled = self._wall_s
         extra["wall/seconds"] = np.array([settled - began, time.monotonic() - settled], "<f8")
-        extra["wall/renders"] = np.array(
-            [renders[k] for k in ("rgb", "depth", "robot_depth", "cell_depth", "truth")], "<f8"
-        )
-        extra["wall/report_renders"] = np.array([report_renders], "<f8")
+        extra["wall/renders"] = np.array([renders[kind] for kind in kinds], "<f8")
+        extra["wall/report_renders"] = np.array([(self._renderer.renders - renders).total()], "<f8")
         extra[ARITHMETIC] = np.frombuffer(arithmetic().encode(), "u1")
         extra[RENDERER] = np.frombuffer(self._renderer.drawn_by.encode(), "u1")
-        header = header_of(
-            self.spec, self.simulation, self._settled, self._ended, model_sha256=self._model_sha256,
-            card=None if self.card is None else self.card.plain(),
-            control=None if self.card is None else self.card.control, privileged=self.privileged,
-        )  # fmt: skip
-        unused = frozenset[str]() if self._driver is None else self._driver.unused
+        unused = set[str]() if self._driver is None else self._driver.unused
         arrays = {path: values for path, values in self.log.arrays().items() if path not in unused}
-        return Recording(header=header, arrays=arrays)
+        return Recording(header=self._header(self._ended), arrays=arrays)
+
+    def _header(self, ended: Ended) -> Header:
+        spec, card, simulation = self.spec, self.card, self.simulation
+        scene, warnings = simulation.scene, simulation.solver_warnings()
+        if simulation.normal_sum_truncated:
+            warnings.append("normal-force sensor full: normal sums are too small")
+        return Header(
+            spec=spec,
+            ended=ended.reason,
+            failure=ended.failure,
+            card=None if card is None else card.plain(),
+            control=None if card is None else card.control,
+            privileged=self.privileged,
+            embodiment=simulation.robot.id,
+            comfort_arm_deg=self._settled.comfort_arm_deg,
+            segments=list(SEGMENTS),
+            regions=list(spec.protocol.regions),
+            human_joints=simulation.joint_names,
+            pose_base_in_world=simulation.pose_base_in_world.tolist(),
+            identity=DECLARED,
+            versions=trial_versions(spec.protocol),
+            sha256={
+                "model": self._model_sha256,
+                "body": scene.body.sha256,
+                "robot": simulation.robot.source.sha256,
+                "kernel": kernel_sha256(),
+            },
+            solver_warnings=warnings,
+            drawn=drawn_facts(scene.protocol, scene.place) if spec.protocol.variation.draws_models else {},
+        )
 
     def _observe(self) -> Observation:
         assert self._builder is not None
@@ -368,32 +371,53 @@ class Episode:
             count = min(steps, period)
             samples = simulation.advance(count)
             steps -= count
-            if (cut := cut_by_solver(simulation.solver_warnings())) is not None:
-                return cut
-            # A joint controller has limits of its own.
-            if isinstance(simulation.control, CartesianControl):
-                speed = np.concatenate([s.tcp_speed for s in samples])
-                if (cut := cut_by_tool(speed, self.protocol)) is not None:
-                    return cut
-            self.log.add_period(
-                samples, time_s=simulation.time_s, indentation_m=simulation.indentation(),
-                target_in_base=simulation.control.target_in_base, cells=self._cells.period() | self._life.period(),
-            )  # fmt: skip
+            if (stopped := self._unrecorded(samples)) is not None:
+                return stopped
+            row = {
+                "scorer/period_time_s": simulation.time_s,
+                "scorer/indentation_m": simulation.indentation(),
+                "scorer/target_in_base": simulation.control.target_in_base,
+            }
+            self.log.add_period(samples, row | self._person.period())
             if self.log.wants_state(simulation.time_s):
                 self.log.add_state(simulation.time_s, simulation.integration_state())
             force_n = np.concatenate([lengths(s.force) for s in samples])
             self._peak.look(force_n)
-            cut = self._force_cut.cut(force_n) or cut_by_speed(simulation.fastest_joint)
-            if cut is not None:
-                return cut
+            over = force_n > self._most_n
+            if over.any():
+                step, segment = np.argwhere(over)[0]
+                force = f"{force_n[step, segment]:.0f} N on {SEGMENTS[segment]}"
+                return _stopped("force", f"{force}, cut at {self._most_n[segment]:.0f} N")
+            if (fastest := simulation.control.fastest) is not None:
+                speed = f"joint {fastest[0]} moved at {fastest[1]:.2f} rad/s"
+                return _stopped("joint_speed", f"{speed}, faster than the robot's controller allows")
         return None
+
+    def _unrecorded(self, samples: list[Samples]) -> Ended | None:
+        """Return how a trial ends after a period that is no measurement and is therefore not recorded; None after any
+        other: the solver diverged, or the tool was faster than a real robot allows, which stops itself at that moment
+        (libfranka calls this ``cartesian_velocity_violation``).
+        """
+        if warnings := self.simulation.solver_warnings():
+            return _stopped("solver", f"MuJoCo warning {', '.join(warnings)}")
+        # A joint controller has limits of its own.
+        if not isinstance(self.simulation.control, CartesianControl):
+            return None
+        most = STOPPED_OVER * self.protocol.physics.max_tcp_speed_m_s
+        fastest = float(np.max([sample.tcp_speed.max() for sample in samples]))
+        if fastest <= most:
+            return None
+        speed = f"the tool moved at {fastest:.2f} m/s"
+        return _stopped("tool_speed", f"{speed}, and the robot stops itself above {most:.2f} m/s")
+
+
+def _stopped(kind: str, message: str) -> Ended:
+    """Return how a trial ends that the benchmark stops."""
+    return Ended("safety_truncation", Failure(kind=kind, message=message))
 
 
 def _world(spec: TrialSpec) -> World:
     return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
-
-
-# What a policy sees at t = 0, without running a trial.
 
 
 def first_look(

@@ -21,23 +21,23 @@ from carecontact.sim.rendering import SceneRenderer, TrueView
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.state import Proprioception, skin_in_world, top_of_skin
 
-# Measures a trial's perception against the simulator's truth, hidden from the policy.
-
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-SEGMENT_AT = {
-    "shoulder": "upper_arm", "elbow": "forearm", "wrist": "hand", "hip": "thigh", "knee": "shank", "ankle": "foot"
-}  # fmt: skip
+Faces = npt.NDArray[np.integer]
+
+SEGMENT_AT = {"shoulder": "upper_arm", "elbow": "forearm", "wrist": "hand"}
+SEGMENT_AT |= {"hip": "thigh", "knee": "shank", "ankle": "foot"}
+"""Joint -> the segment whose body has its origin there."""
 OWN_LIMB_M = 0.16
 """A surface up to this distance [m] in front of a joint's centre belongs to the joint's own limb: the hip joint of the
 heaviest bodies lies 0.14 m deep."""
 
 
 class PerceptionLog:
-    """Collects rows for ``recording.perception``. It renders each camera once for observations with landmarks or
-    masks.
+    """Measures a trial's perception against the simulator's truth, hidden from the policy: collects rows for
+    ``recording.notes``. It renders each camera once for observations with landmarks or masks.
     """
 
     def __init__(self, model: mujoco.MjModel, renderer: SceneRenderer) -> None:
@@ -58,14 +58,11 @@ class PerceptionLog:
             # With noise on the encoders, the camera pose that the policy knows is not the true one.
             pose = self._renderer.pose_camera_in_base(data, name)
             visible, error = landmark_error_px(view, joints, pose, truth)
-            self._rows.append(
-                {
-                    "observation_index": index, "camera_index": CAMERAS.index(name), "joint_visible": visible,
-                    "landmark_error_px": error,
-                    "human_iou": np.nan if view.masks is None else iou(view.masks["human"], truth.human),
-                    "target_error_m": self._target_errors(joints, skin, observation, name),
-                }
-            )  # fmt: skip
+            row: dict[str, Any] = {"observation_index": index, "camera_index": CAMERAS.index(name)}
+            row |= {"joint_visible": visible, "landmark_error_px": error}
+            row["human_iou"] = np.nan if view.masks is None else iou(view.masks["human"], truth.human)
+            row["target_error_m"] = self._target_errors(joints, skin, observation, name)
+            self._rows.append(row)
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return the arrays by their path; none if no row was added."""
@@ -76,12 +73,9 @@ class PerceptionLog:
 
     def joints_in_base(self, data: mujoco.MjData) -> dict[str, F64]:
         """Return the true centre (3,) [m] of each of JOINTS in the robot's base."""
-        found = {}
-        for name in JOINTS:
-            side, joint = name.split()
-            centre = data.body(body_name(f"{side}_{SEGMENT_AT[joint]}")).xpos
-            found[name] = self._robot.in_base(data, centre, np.eye(3))[:3, 3]
-        return found
+        segments = {name: f"{side}_{SEGMENT_AT[joint]}" for name in JOINTS for side, joint in [name.split()]}
+        centres = {name: data.body(body_name(segment)).xpos for name, segment in segments.items()}
+        return {name: self._robot.in_base(data, centre, np.eye(3))[:3, 3] for name, centre in centres.items()}
 
     def _target_errors(self, joints: dict[str, F64], skin: F64 | None, observation: Observation, camera: str) -> F32:
         regions = self._renderer.protocol.regions
@@ -151,9 +145,8 @@ def middle_share(model: mujoco.MjModel, region: str) -> float:
 
 
 def true_target(
-    region: str, joints_in_base: dict[str, F64], skin_in_base: F64, faces: npt.NDArray[np.integer], *,
-    least_share: float = 0.0,
-) -> tuple[F64, F64]:  # fmt: skip
+    region: str, joints: dict[str, F64], skin: F64, faces: Faces, *, least_share: float = 0.0
+) -> tuple[F64, F64]:
     """Return the place (3,) [m] of the skin above the region's middle and the horizontal direction (3,) of its limb.
 
     The middle is defined by joint centres, here the true ones, as the shipped policies define it: perception is
@@ -163,27 +156,25 @@ def true_target(
     row = REGIONS[region]
     match row.sight:
         case TrunkSight(joints=(lower, upper), middle=share):
-            start, end = ((joints_in_base[f"left {j}"] + joints_in_base[f"right {j}"]) / 2 for j in (lower, upper))
+            start, end = ((joints[f"left {j}"] + joints[f"right {j}"]) / 2 for j in (lower, upper))
         case LimbSight(joints=(first, second), free_from=free_from):
-            start, end = joints_in_base[f"{row.side} {first}"], joints_in_base[f"{row.side} {second}"]
+            start, end = joints[f"{row.side} {first}"], joints[f"{row.side} {second}"]
             share = max((1 + free_from) / 2, least_share)
         case None:
             raise ConfigError(f"region {region} has no joints between which it lies")
     middle = start + share * (end - start)
     along = np.array([*(end - start)[:2], 0.0])
-    height = top_of_skin(skin_in_base, faces.reshape(-1, 3), middle[:2])
+    height = top_of_skin(skin, faces.reshape(-1, 3), middle[:2])
     return np.array([*middle[:2], height]), along / np.linalg.norm(along)
 
-
-# The moment of a trial that its report shows: two pictures, and the shape of the skin at that moment.
 
 MARGIN_M = (0.08, 0.06, 0.06)
 """How far [m] beyond a region the skin is kept: along it, across it and outward."""
 
 
 class Peak:
-    """Remembers the state with the largest force on the target; while the target has not been touched, on any
-    segment.
+    """Remembers the moment of a trial that its report shows: the state with the largest force on the target; while the
+    target has not been touched, on any segment.
     """
 
     def __init__(self, simulation: Simulation, *, target: int) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.cache import Arrays, cached
 from carecontact.episode.placed_persons import placed_person, posed
@@ -22,7 +20,7 @@ from carecontact.sensing.builder import SensorNoise
 from carecontact.sensing.calibration import Calibration, draw_calibration
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
-from carecontact.tissue.plugin import Law, set_law
+from carecontact.tissue.plugin import set_law
 from carecontact.world.randomization import (
     UNMOVED,
     Place,
@@ -39,7 +37,8 @@ from carecontact.world.randomization import (
 from carecontact.world.room import draw_light, set_light
 from carecontact.world.scene import Scene, build_scene, controlled, copy_settings
 
-# What a trial's seed draws before its world is built, expressed as a protocol that fixes all of these draws.
+OF_PERSON = ("body", "shoulder_rotation_deg", "palm_deg")
+"""Fields of a protocol's person that a seed may draw."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,51 +54,46 @@ class Drawn:
 
 def drawn_facts(protocol: Protocol, place: Place) -> dict[str, Any]:
     """Return what was drawn for a trial's world (``Drawn``), for the recording and never for a policy."""
-    person, furniture, overhead = protocol.person, protocol.scene, protocol.cameras["overhead"]
+    scene, overhead = protocol.scene, protocol.cameras["overhead"]
     return {
-        "body": person.body,
-        "shoulder_rotation_deg": person.shoulder_rotation_deg, "palm_deg": person.palm_deg,
-        "place": {"along_m": place.along_m, "across_m": place.across_m, "yaw_deg": place.yaw_deg},
-        "robot_base_m": list(furniture.robot_base_m), "robot_yaw_deg": furniture.robot_yaw_deg,
+        **protocol.person.model_dump(mode="json", include=set(OF_PERSON)),
+        "place": asdict(place),
+        **scene.model_dump(mode="json", include={"robot_base_m", "robot_yaw_deg"}),
         "overhead": overhead.model_dump(mode="json", include={"position_m", "look_at_m", "up"}),
-    }  # fmt: skip
+    }
 
 
 def drawn(spec: TrialSpec) -> Drawn:
     """Draw body, posture, place, base of the robot and overhead camera from the seed of a trial.
 
-    Raises SceneError where no person of the seed suits the robot (``episode.parking``).
+    Raises SceneError where no person of the seed suits the robot (``placed_person``).
     """
     return draw(spec.protocol, region=spec.protocol.task(spec.task_id).region, seed=spec.seed, salt=spec.salt)
 
 
 def draw(protocol: Protocol, *, region: str, seed: int, salt: str = "") -> Drawn:
     """Like ``drawn``, for any task on a region, without a trial spec."""
+    body, world = body_of(protocol, seed, salt), protocol
     if protocol.variation.parking is None:
         # This protocol refuses no person, so that the first draw is taken.
         posture = posture_of(protocol, seed, salt, 0)
-        laid = posed(protocol, body_of(protocol, seed, salt), posture)
-        return Drawn(
-            protocol=_concrete(protocol, laid, seed, salt), comfort_arm_deg=posture.comfort_arm_deg,
-            place=place_of(posture.place, protocol.variation),
-        )  # fmt: skip
-    found = placed_person(protocol, seed, salt=salt)
-    base = found.bases[region]
-    scene = protocol.scene.model_copy(update={"robot_base_m": base.position_m, "robot_yaw_deg": base.yaw_deg})
-    laid = posed(protocol.model_copy(update={"scene": scene}), found.body, found.posture)
-    return Drawn(
-        protocol=_concrete(protocol, laid, seed, salt), comfort_arm_deg=found.posture.comfort_arm_deg,
-        place=place_of(found.posture.place, protocol.variation),
-    )  # fmt: skip
+    else:
+        found = placed_person(protocol, seed, salt=salt)
+        posture, base = found.posture, found.bases[region]
+        scene = protocol.scene.model_copy(update={"robot_base_m": base.position_m, "robot_yaw_deg": base.yaw_deg})
+        world = protocol.model_copy(update={"scene": scene})
+    world = posed(world, body, posture)
+    cameras = {**protocol.cameras, "overhead": overhead_of(protocol, seed, salt)}
+    if cameras != protocol.cameras:
+        world = world.model_copy(update={"cameras": cameras})
+    place = place_of(posture.place, protocol.variation)
+    return Drawn(protocol=world, comfort_arm_deg=posture.comfort_arm_deg, place=place)
 
 
 def with_draws_of(protocol: Protocol, other: Protocol) -> Protocol:
     """Return a protocol with the body, arm, base and cameras that were drawn for another one."""
-    person = other.person
-    update = {name: getattr(person, name) for name in ("body", "shoulder_rotation_deg", "palm_deg")}
-    return protocol.model_copy(update={
-        "person": protocol.person.model_copy(update=update), "scene": other.scene, "cameras": other.cameras
-    })  # fmt: skip
+    person = protocol.person.model_copy(update={name: getattr(other.person, name) for name in OF_PERSON})
+    return protocol.model_copy(update={"person": person, "scene": other.scene, "cameras": other.cameras})
 
 
 def without_draws(protocol: Protocol) -> Protocol:
@@ -108,21 +102,7 @@ def without_draws(protocol: Protocol) -> Protocol:
     return protocol.model_copy(update={"variation": protocol.variation.model_copy(update=defaults)})
 
 
-def _concrete(protocol: Protocol, laid: Protocol, seed: int, salt: str) -> Protocol:
-    cameras = {**protocol.cameras, "overhead": overhead_of(protocol, seed, salt)}
-    return laid if cameras == protocol.cameras else laid.model_copy(update={"cameras": cameras})
-
-
-# What a seed changes in a compiled world: appearance, light, place, movements of the person, noise. ``drawn`` has what
-# it draws before.
-
-
-def comfort_arm_deg(protocol: Protocol, seed: int, *, salt: str = "") -> float:
-    """Return the arm's angle [deg] of the seed's first draw of a person; a protocol that parks the robot may reject
-    that person (``drawn``).
-    """
-    low, high = protocol.randomization.comfort_arm_deg
-    return float(streams(protocol, seed, salt)["comfort_arm"].uniform(low, high))
+# The rest of this file is what a seed changes in a compiled world; ``drawn`` has what it draws before.
 
 
 def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
@@ -138,7 +118,7 @@ def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
 
 
 def set_place(scene: Scene, place: Place) -> None:
-    """Put the person of a compiled scene where the seed's draw says (``episode.drawn``).
+    """Put the person of a compiled scene at the place of the seed's draw (``drawn``).
 
     Call it once, before the person settles.
     """
@@ -164,11 +144,9 @@ def start_motion_script(simulation: Simulation, seed: int, *, salt: str = "") ->
     protocol = simulation.protocol
     if simulation.life is None or protocol.person.alive == Alive():
         return
-    doings = draw_motion_script(
-        streams(protocol, seed, salt), protocol.person.alive, until_s=protocol.phases.time_limit_s,
-        wrist_radius_m=simulation.wrist_radius_m(),
-    )  # fmt: skip
-    simulation.life.wake(simulation.data, doings)
+    drawn, until_s, radius_m = streams(protocol, seed, salt), protocol.phases.time_limit_s, simulation.wrist_radius_m()
+    script = draw_motion_script(drawn, protocol.person.alive, until_s=until_s, wrist_radius_m=radius_m)
+    simulation.life.wake(simulation.data, script)
 
 
 def calibration(protocol: Protocol, seed: int, *, salt: str = "") -> Calibration:
@@ -188,10 +166,6 @@ def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: s
     return SensorNoise(protocol.variation, key=key, dt_s=protocol.physics.dt_s)
 
 
-# Keeps settled persons between trials: they depend on the compiled model, the comfort angle, the place on the bed, the
-# settling rules, MuJoCo's version and the compiled tissue.
-
-
 def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str) -> Settled:
     """Settle the person, or load what ``simulation.settle`` gave before for the same model and angle. Raises
     SettleError as it does.
@@ -201,37 +175,37 @@ def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str)
     """
     protocol = simulation.protocol
     facts = {
-        "model": model_sha256, "mujoco": mujoco.__version__, "kernel": kernel_sha256(),
+        "model": model_sha256,
+        "mujoco": mujoco.__version__,
+        "kernel": kernel_sha256(),
         "comfort_arm_deg": comfort_arm_deg.hex(),
-        "phases": protocol.phases.model_dump(mode="json"), "target_period_s": protocol.physics.target_period_s,
-        "parked": protocol.scene.parked_joint_rad, "place": [v.hex() for v in place_in_model(simulation.model)],
-    }  # fmt: skip
+        "phases": protocol.phases.model_dump(mode="json"),
+        "target_period_s": protocol.physics.target_period_s,
+        "parked": protocol.scene.parked_joint_rad,
+        "place": [v.hex() for v in place_in_model(simulation.model)],
+    }
 
     def compute() -> Arrays:
-        settled = simulation.settle(comfort_arm_deg)
-        return {
-            "state": simulation.integration_state(), "joint_position": settled.joint_position,
-            "wrist_in_world": settled.wrist_in_world, "duration_s": np.array(settled.duration_s),
-            "comfort_arm_deg": np.array(settled.comfort_arm_deg),
-        }  # fmt: skip
+        settled = asdict(simulation.settle(comfort_arm_deg))
+        return {"state": simulation.integration_state(), **{name: np.array(value) for name, value in settled.items()}}
 
     found = cached("settled", facts, compute)
     simulation.restore(found["state"], comfort_arm_deg=comfort_arm_deg)
     return Settled(
-        duration_s=float(found["duration_s"]), comfort_arm_deg=float(found["comfort_arm_deg"]),
-        joint_position=found["joint_position"], wrist_in_world=found["wrist_in_world"],
-    )  # fmt: skip
+        duration_s=float(found["duration_s"]),
+        comfort_arm_deg=float(found["comfort_arm_deg"]),
+        joint_position=found["joint_position"],
+        wrist_in_world=found["wrist_in_world"],
+    )
 
-
-# The world of one trial up to t = 0, for running it and for looking at it.
 
 World = tuple[Simulation, Settled, str]
-"""A simulation at t = 0, how its person settled, and the sha256 of its model before dressing and settling."""
+"""A simulation at t = 0, how its person settled, and the sha256 of its model as it was compiled."""
 
 
 def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> World:
-    """Build the task's world as the seed draws it, dress it, let the person settle, and give it the tissue and the life
-    that the protocol varies with the seed. The simulation's protocol is the drawn one (``Drawn.protocol``).
+    """Build the task's world as the seed draws it, let the person settle, and give it the tissue and the movements that
+    the protocol varies with the seed. The simulation's protocol is the drawn one (``Drawn.protocol``).
 
     Args:
         salt: the trial's secret (``TrialSpec.salt``).
@@ -243,8 +217,7 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = ""
     region = protocol.task(task_id).region
     drawn = draw(protocol, region=region, seed=seed, salt=salt)
     scene = replace(build_scene(drawn.protocol, target=region), place=drawn.place)
-    # Hash the model before anything changes it: dressing, laying and settling write what the seed draws, and a policy
-    # writes its stiffness.
+    # The hash comes before everything that the seed and later the policy write into the model.
     model_sha256 = scene.model_sha256
     randomize_appearance(scene, seed, salt=salt)
     set_place(scene, drawn.place)
@@ -267,28 +240,3 @@ def under_control(simulation: Simulation, control: Control) -> tuple[Simulation,
     driven = Simulation(scene)
     driven.take_over(simulation)
     return driven, model_sha256
-
-
-def constants_of(simulation: Simulation, settled: Settled) -> Mapping[str, npt.NDArray[np.float64]]:
-    """Return arrays of a recording that hold for the whole trial, by their path."""
-    return {
-        "scorer/human_joint_range": simulation.joint_range.astype("<f8"),
-        "scorer/human_joint_settled": settled.joint_position.astype("<f8"),
-        "scorer/wrist_settled_in_world": settled.wrist_in_world.astype("<f8"),
-        "scorer/region_size_m": simulation.scene.region_size_m.astype("<f8"),
-        **_own_law(simulation),
-    }
-
-
-def _own_law(simulation: Simulation) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the compiled laws if any differs from its row in the protocol, by the body's build or by the seed's
-    draw.
-    """
-    rows = simulation.protocol.person.tissue
-    law = np.zeros((len(simulation.protocol.regions), len(fields(Law))))
-    declared = law.copy()
-    for at, name in enumerate(simulation.protocol.regions):
-        if name in simulation.scene.regions:
-            law[at] = simulation.model.numeric(f"{name}/law").data
-            declared[at] = astuple(Law.of(rows[name]))
-    return {} if np.array_equal(law, declared) else {"scorer/region_law": law.astype("<f8")}

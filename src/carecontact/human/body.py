@@ -9,8 +9,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-# A person's geometry, mass, sex and age group in the bind pose. ``world.human.library`` loads one by its name.
-
 Array = npt.NDArray[np.float64]
 
 PARENT: dict[str, str | None] = {
@@ -30,9 +28,7 @@ CHILD_ALONG = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shank", "sha
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """A person's body in the bind pose. In the mesh frame [m], z points up, the person faces -y, and their left is
-    +x.
-    """
+    """A body in the bind pose. In the mesh frame [m], z points up, the person faces -y, and their left is +x."""
 
     name: str
     """Name of the body, as ``library.load_body`` takes it."""
@@ -95,10 +91,9 @@ class Body:
         return self.mass_kg / self.stature_m**2
 
 
-# Segment masses, centres of mass and inertias.
-#
-# Source: de Leva 1996, J Biomech 29:1223, Table 4 (adjusted Zatsiorsky-Seluyanov). Fractions are of body mass and of
-# the segment's length; radii of gyration are about the sagittal, transverse and longitudinal axis.
+# Segment masses, centres of mass and inertias: de Leva 1996, J Biomech 29:1223, Table 4 (adjusted Zatsiorsky-
+# Seluyanov). Fractions are of body mass and of the segment's length; radii of gyration are about the sagittal,
+# transverse and longitudinal axis.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,9 +105,9 @@ class SegmentFractions:
     """Radii of gyration about the sagittal, transverse and longitudinal axis, as shares of its length."""
 
 
-def _row(mass: float, centre: float, *gyration: float) -> SegmentFractions:
-    sagittal, transverse, longitudinal = (g / 100 for g in gyration)
-    return SegmentFractions(mass=mass / 100, centre=centre / 100, gyration=(sagittal, transverse, longitudinal))
+def _row(mass: float, centre: float, sagittal: float, transverse: float, longitudinal: float) -> SegmentFractions:
+    gyration = sagittal / 100, transverse / 100, longitudinal / 100
+    return SegmentFractions(mass=mass / 100, centre=centre / 100, gyration=gyration)
 
 
 DE_LEVA: dict[str, dict[str, SegmentFractions]] = {
@@ -142,8 +137,7 @@ DE_LEVA: dict[str, dict[str, SegmentFractions]] = {
     },
 }
 # De Leva's head includes the neck, and his upper trunk the shoulders. The rig's neck and clavicles take a small share
-# of
-# them, so that each has an inertia of its own (the shares are assumed, the sums published).
+# of them, so that each has an inertia of its own (the shares are assumed, the sums published).
 SHARE_OF = {"neck": ("head", 0.15), "clavicle": ("thorax", 0.04)}
 
 
@@ -165,10 +159,14 @@ TRUNK_LENGTH_MM = {
 """Lengths of the trunk's segments from the neck down: cervicale, xiphion, omphalion, mid-hip (Table 4)."""
 
 
+def kind_of(segment: str) -> str:
+    """Return the name of a segment or hinge without its side."""
+    return segment.removeprefix("left_").removeprefix("right_")
+
+
 def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
     """Return the first and second end (3,) [m] of a body's segment, as de Leva defines them."""
-    j = body.joint_centre
-    kind = segment.removeprefix("left_").removeprefix("right_")
+    j, kind = body.joint_centre, kind_of(segment)
     if kind == "head":
         top = j["head"].copy()
         top[2] = body.vertices[:, 2].max()
@@ -182,22 +180,17 @@ def segment_ends(body: Body, segment: str) -> tuple[Array, Array]:
         return j["neck"] + ends[k] * line, j["neck"] + ends[k + 1] * line
     if kind == "foot":
         points = body.vertices_of(segment)
-        heel, toe = points[points[:, 1].argmax()], points[points[:, 1].argmin()]
-        return heel, toe
+        return points[points[:, 1].argmax()], points[points[:, 1].argmin()]
     return j[segment], j[segment] + body.axis_vector(segment)
 
 
 def segment_inertias(body: Body) -> dict[str, SegmentInertia]:
     """Return the inertia of every segment of a body; the masses add up to the body's mass."""
     table = DE_LEVA[body.sex]
-    total = sum(
-        table[s.split("_", 1)[-1] if s.startswith(("left", "right")) else s].mass
-        for s in body.segments
-        if s != "neck" and not s.endswith("clavicle")
-    )
+    total = sum(table[kind_of(segment)].mass for segment in body.segments if kind_of(segment) not in SHARE_OF)
     out: dict[str, SegmentInertia] = {}
     for segment in body.segments:
-        kind = segment.removeprefix("left_").removeprefix("right_")
+        kind = kind_of(segment)
         if kind in SHARE_OF:
             parent, share = SHARE_OF[kind]
             mass = body.mass_kg * table[parent].mass / total * share

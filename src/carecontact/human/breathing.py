@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,9 +14,7 @@ from carecontact.human.shell import belly_half_width, belly_span
 from carecontact.human.skeleton import body_name
 from carecontact.tissue.life import JOINTS, PARTS
 
-# Breathing: slide joints on the trunk move the wall of the abdomen and the front of the chest, and the visible skin
-# with them.
-#
+# Slide joints on the trunk move the wall of the abdomen and the front of the chest, and the visible skin with them.
 # The abdomen's soft region moves outward as a whole, and the core under it stays. The skin moves with the region;
 # around the region its movement fades to zero at the trunk's sides. The slide of the chest carries the chest's plates.
 
@@ -50,13 +48,10 @@ SIDE_M = 0.03
 
 
 def add_slide(segment: str, bone: mujoco.MjsBody) -> mujoco.MjsBody:
-    """Return the body that carries the front of a segment: a new slide on its bone, or the bone if it does not
-    breathe.
-    """
-    part = next((part for part, owner in SEGMENT.items() if owner == segment), None)
-    if part is None:
+    """Return the body that carries the front of a segment: a new slide on its bone, or the bone itself."""
+    name = carrier(segment, breathes=True)
+    if name == body_name(segment):
         return bone
-    name = breath_body(part)
     made = bone.add_body(name=name, explicitinertial=True, mass=MASS_KG, inertia=np.full(3, MASS_KG * 0.01))
     made.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=FRONT, armature=INERTIA_KG)
     return made
@@ -65,12 +60,17 @@ def add_slide(segment: str, bone: mujoco.MjsBody) -> mujoco.MjsBody:
 def add_servos(spec: mujoco.MjSpec) -> None:
     """Add the servos of the slides. Call it after the skeleton."""
     for part in PARTS:
-        servo = spec.add_actuator(
-            name=f"breathes_{part}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=breath_body(part),
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        )  # fmt: skip
+        servo = _actuator(spec, f"breathes_{part}", breath_body(part), affine_bias=True)
         servo.gainprm[0] = STIFFNESS_N_M
         servo.biasprm[:3] = [0.0, -STIFFNESS_N_M, -2.0 * np.sqrt(STIFFNESS_N_M * INERTIA_KG)]
+
+
+def _actuator(
+    spec: mujoco.MjSpec, name: str, joint: str, *, affine_gain: bool = False, affine_bias: bool = False
+) -> mujoco.MjsActuator:
+    gain = mujoco.mjtGain.mjGAIN_AFFINE if affine_gain else mujoco.mjtGain.mjGAIN_FIXED
+    bias = mujoco.mjtBias.mjBIAS_AFFINE if affine_bias else mujoco.mjtBias.mjBIAS_NONE
+    return spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint, gaintype=gain, biastype=bias)
 
 
 def breath_body(part: str) -> str:
@@ -79,8 +79,8 @@ def breath_body(part: str) -> str:
 
 def carrier(segment: str, *, breathes: bool) -> str:
     """Return the name of the body that carries the front of a segment."""
-    part = next((part for part, owner in SEGMENT.items() if owner == segment), None)
-    return breath_body(part) if breathes and part is not None else body_name(segment)
+    parts = [part for part, owner in SEGMENT.items() if breathes and owner == segment]
+    return breath_body(parts[0]) if parts else body_name(segment)
 
 
 def move_skin(spec: mujoco.MjSpec, body: Body) -> None:
@@ -145,30 +145,19 @@ def _rise(x: Array) -> Array:
     return x * x * (3 - 2 * x)
 
 
-# Muscles of the right arm, for protocols in which it moves on its own; in others, the arm has none.
-#
-# A muscle's joint has two actuators: one holds the joint with stiffness and damping in proportion to an activation (its
-# command), the other adds a torque. Together they are a servo whose set point, stiffness and damping can change.
+# For protocols in which the right arm moves on its own, each of its joints has two actuators: one holds the joint with
+# stiffness and damping in proportion to an activation (its command), the other adds a torque. Together they are a servo
+# whose set point, stiffness and damping can change.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Muscle:
+class Muscle(NamedTuple):
     stiffness_nm_rad: float
     """Stiffness at full activation."""
     damping_nms_rad: float
 
 
 MUSCLES = dict(
-    zip(
-        JOINTS,
-        (
-            Muscle(stiffness_nm_rad=200.0, damping_nms_rad=15.0),
-            Muscle(stiffness_nm_rad=100.0, damping_nms_rad=10.0),
-            Muscle(stiffness_nm_rad=15.0, damping_nms_rad=1.0),
-            Muscle(stiffness_nm_rad=30.0, damping_nms_rad=2.5),
-        ),
-        strict=True,
-    )
+    zip(JOINTS, (Muscle(200.0, 15.0), Muscle(100.0, 10.0), Muscle(15.0, 1.0), Muscle(30.0, 2.5)), strict=True)
 )
 """Joint -> its muscles. The values are assumed: the arm arrives within some millimetres of its goal and is about
 critically damped."""
@@ -177,13 +166,6 @@ critically damped."""
 def add_muscles(spec: mujoco.MjSpec) -> None:
     """Add the actuators of every muscle. Call it after the skeleton."""
     for joint, muscle in MUSCLES.items():
-        holds = spec.add_actuator(
-            name=f"holds_{joint}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"human_{joint}",
-            gaintype=mujoco.mjtGain.mjGAIN_AFFINE, biastype=mujoco.mjtBias.mjBIAS_NONE,
-        )  # fmt: skip
+        holds = _actuator(spec, f"holds_{joint}", f"human_{joint}", affine_gain=True)
         holds.gainprm[:3] = [0.0, -muscle.stiffness_nm_rad, -muscle.damping_nms_rad]
-        turns = spec.add_actuator(
-            name=f"turns_{joint}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"human_{joint}",
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_NONE,
-        )  # fmt: skip
-        turns.gainprm[0] = 1.0
+        _actuator(spec, f"turns_{joint}", f"human_{joint}").gainprm[0] = 1.0

@@ -11,8 +11,7 @@ import numpy as np
 from carecontact.human.body import Array, Body, SegmentInertia
 from carecontact.human.shell import belly_half_width, belly_span
 
-# Surfaces of trunk, legs and the soft arm that give way to a knock: light plates on damped slides, which carry hulls of
-# their segment.
+# Light plates on damped slides carry hulls of trunk, legs and the soft arm, so that these give way to a knock.
 #
 # Trunk and legs are one rigid piece of some 60 kg. A tool that hit hulls on it directly would feel the damper of
 # MuJoCo's contact, whose force grows with the colliding mass (41 N for each kg of effective mass at 0.2 m/s), and
@@ -54,12 +53,10 @@ class Give:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the plate."""
         return max(LEAST_MASS_KG, self.a_n_m / self.frequency_rad_s**2)
 
     @property
     def damping_ns_m(self) -> float:
-        """Damping of the plate's slides."""
         return 2.0 * DAMPING_RATIO * float(np.sqrt(self.a_n_m * self.mass_kg))
 
     def force_n(self, depth_m: Array) -> Array:
@@ -149,13 +146,12 @@ def plate_body(plate: str) -> str:
 
 def add_plate(bone: mujoco.MjsBody, plate: Plate, centre: Array) -> mujoco.MjsBody:
     """Add a plate to a bone and return its body. ``centre``: (3,) place of the plate's mass in the bone's frame."""
-    made = bone.add_body(name=plate_body(plate.name), explicitinertial=True, mass=plate.give.mass_kg, ipos=centre,
-                         inertia=np.full(3, plate.give.mass_kg * SIZE_M**2))  # fmt: skip
+    name, give = plate_body(plate.name), plate.give
+    inertia = np.full(3, give.mass_kg * SIZE_M**2)
+    made = bone.add_body(name=name, explicitinertial=True, mass=give.mass_kg, ipos=centre, inertia=inertia)
+    spring = {"stiffness": [give.a_n_m, give.b_n_m2, 0.0], "damping": [give.damping_ns_m, 0.0, 0.0]}
     for number, outward in enumerate(plate.outward):
-        made.add_joint(
-            name=f"{plate_body(plate.name)}_{number}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=-outward,
-            stiffness=[plate.give.a_n_m, plate.give.b_n_m2, 0.0], damping=[plate.give.damping_ns_m, 0.0, 0.0],
-        )  # fmt: skip
+        made.add_joint(name=f"{name}_{number}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=-outward, **spring)
     return made
 
 
@@ -177,15 +173,8 @@ def _spread(offset: Array) -> Array:
     return offset @ offset * np.eye(3) - np.outer(offset, offset)
 
 
-def trunk_sides(body: Body, points: Array, side: str, *, overlap_m: float = 0.015) -> Array:
-    """Return the points (n, 3) of one side of the trunk; near the middle, both sides share a strip of points."""
-    sign = SIDEWAYS[side][0]
-    return points[sign * (points[:, 0] - body.joint_centre["pelvis"][0]) > -overlap_m]
-
-
-# Planes in which the hulls of neighbouring plates meet, so that a push meets one plate wherever it is clear of them.
-#
 # Where hulls overlap, both plates carry what lies there, each with a spring of its own, and that place is too stiff.
+# Therefore the hulls of neighbouring plates meet in planes.
 
 ARMPIT_M, NECK_M = 0.07, 0.10
 ARMPIT_SHARE, GIRDLE_SHARE = 1.15, 0.45
@@ -252,9 +241,7 @@ def parted(body: Body) -> dict[str, Array]:
 
 
 def clipped(body: Body, segments: tuple[str, ...], *planes: Plane) -> Array:
-    """Return points (n, 3) of the surface of some segments below all planes: its vertices, and the places where its
-    edges cross a plane.
-    """
+    """Return the vertices (n, 3) of some segments below all planes, and where their edges cross a plane."""
     mine = np.isin(body.owner, [body.segments.index(s) for s in segments])
     faces = body.faces[mine[body.faces].all(1)]
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)

@@ -8,6 +8,7 @@ outermost first: shoulder abduction, flexion, rotation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -82,36 +83,23 @@ WRIST = (
 )
 
 
-def arm_share(body: Body) -> float:
-    """Return the mass of the body's upper arm divided by MEAN_ARM_KG."""
-    return body.mass_kg * DE_LEVA[body.sex]["upper_arm"].mass / MEAN_ARM_KG
-
-
 def hinges(body: Body) -> list[Hinge]:
     """Return every hinge of a body in the order of its joints, with the ranges of its age group."""
     rows: list[Hinge] = []
 
     def add(
-        segment: str, motion: str, axis: Array, bind: float, k: float, d: float, source: str = ASSUMED,
-        range_deg: tuple[float, float] | None = None, neutral_deg: float | None = None,
-    ) -> None:  # fmt: skip
+        segment: str, motion: str, axis: Array, bind: float, k: float, d: float, source: str = ASSUMED, **more: Any
+    ) -> None:
         """Add a hinge. Trunk and neck give their range, which is assumed; limbs take theirs from RANGE_DEG."""
+        range_source = ASSUMED
+        if "range_deg" not in more:
+            more["range_deg"] = RANGE_DEG[f"{segment.partition('_')[2]}_{motion}"][body.age_group]
+            range_source = AGED if body.age_group == "old" else AAOS
+            if segment.endswith(("thigh", "shank", "foot")):
+                range_source = LEGS
+        more |= {"bind_deg": bind, "stiffness_nm_rad": k, "damping_nms_rad": d, "source": source}
         unit = np.asarray(axis, np.float64) / np.linalg.norm(axis)
-        kind = f"{segment.partition('_')[2]}_{motion}"
-        if range_deg is None:
-            range_deg = RANGE_DEG[kind][body.age_group]
-            aged = body.age_group == "old" and segment.endswith(("arm", "hand"))
-            leg = segment.endswith(("thigh", "shank", "foot"))
-            range_source = LEGS if leg else AGED if aged else AAOS
-        else:
-            range_source = ASSUMED
-        rows.append(
-            Hinge(
-                name=f"{segment}_{motion}", segment=segment, axis=unit, bind_deg=bind, range_deg=range_deg,
-                stiffness_nm_rad=k, damping_nms_rad=d, range_source=range_source, source=source,
-                neutral_deg=neutral_deg,
-            )
-        )  # fmt: skip
+        rows.append(Hinge(name=f"{segment}_{motion}", segment=segment, axis=unit, range_source=range_source, **more))
 
     x, y, z = np.eye(3)
     for segment in ("abdomen", "thorax"):
@@ -120,7 +108,7 @@ def hinges(body: Body) -> list[Hinge]:
     add("neck", "flexion", x, 0, 8.0, 3.0, range_deg=(-45, 45))
     add("neck", "rotation", z, 0, 4.0, 2.0, range_deg=(-60, 60))
 
-    share = arm_share(body)
+    share = body.mass_kg * DE_LEVA[body.sex]["upper_arm"].mass / MEAN_ARM_KG
     shoulder = SHOULDER_NM_RAD * share, 0.5 * share
     stiff_elbow = float(np.clip(ELBOW_NM_RAD * share, *ELBOW_RANGE_NM_RAD))
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -170,9 +158,7 @@ def elbow_axis(upper: Array, forearm: Array) -> Array:
 
 
 def supination_of(palm: Array, elbow: Array, forearm: Array, sign: float) -> float:
-    """Return the angle [deg] of the palm about the supination axis; at 0, the palm's normal is along the elbow's
-    axis.
-    """
+    """Return the angle [deg] of the palm about the supination axis; 0: its normal is along the elbow's axis."""
     axis = -sign * forearm
     neutral = sign * elbow - (sign * elbow @ axis) * axis
     flat = palm - (palm @ axis) * axis

@@ -22,11 +22,6 @@ from carecontact.errors import AssetError, ConfigError, UnknownNameError
 from carecontact.human.body import PARENT, AgeGroup, Array, Body, Sex
 from carecontact.human.joints import elbow_axis, hand_axes, supination_of
 
-# The files of all shipped bodies, which are read together.
-#
-# Were only the body of a trial read, an isolated policy could tell from access times, or from what the system keeps in
-# memory, which person the trial before its own had.
-
 
 def body_file(name: str) -> bytes:
     """Return the content of a file in the folder of bodies. Raises OSError for one that cannot be read."""
@@ -41,6 +36,7 @@ def body_folder() -> Path:
 
 @cache
 def _contents(folder: Path) -> dict[str, bytes]:
+    """Read all files together: access times and what the system keeps in memory then reveal no trial's body."""
     found: dict[str, bytes] = {}
     for path in sorted(folder.iterdir()):
         with suppress(OSError):
@@ -56,36 +52,39 @@ def _contents(folder: Path) -> dict[str, bytes]:
 
 SMPLX_PREFIX = "smplx:"
 BODY_JOINTS = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
-    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
-    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "jaw", "left_eye", "right_eye",
-)  # fmt: skip
-JOINTS = (
-    *BODY_JOINTS,
-    *(f"{s}_{finger}{k}" for s in ("left", "right") for finger in ("index", "middle", "pinky", "ring", "thumb")
-      for k in (1, 2, 3)),
-)  # fmt: skip
+    *"pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot".split(),
+    *"right_foot neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow".split(),
+    *"left_wrist right_wrist jaw left_eye right_eye".split(),
+)
+SIDES = ("left", "right")
+FINGERS = [f"{finger}{k}" for finger in ("index", "middle", "pinky", "ring", "thumb") for k in (1, 2, 3)]
+JOINTS = (*BODY_JOINTS, *(f"{side}_{joint}" for side in SIDES for joint in FINGERS))
 """The 55 joints of SMPL-X, in the order of its files."""
+LIMB_JOINTS = {
+    "clavicle": ["collar"],
+    "upper_arm": ["shoulder"],
+    "forearm": ["elbow"],
+    "thigh": ["hip"],
+    "shank": ["knee"],
+    "foot": ["ankle", "foot"],
+    "hand": ["wrist", *FINGERS],
+}
 SEGMENT_JOINTS = {
-    "pelvis": ("pelvis",), "abdomen": ("spine1",), "thorax": ("spine2", "spine3"), "neck": ("neck",),
+    "pelvis": ("pelvis",),
+    "abdomen": ("spine1",),
+    "thorax": ("spine2", "spine3"),
+    "neck": ("neck",),
     "head": ("head", "jaw", "left_eye", "right_eye"),
-    **{
-        f"{s}_{segment}": tuple(f"{s}_{joint}" for joint in joints)
-        for s in ("left", "right")
-        for segment, joints in {
-            "clavicle": ("collar",), "upper_arm": ("shoulder",), "forearm": ("elbow",), "thigh": ("hip",),
-            "shank": ("knee",), "foot": ("ankle", "foot"),
-            "hand": ("wrist", *(j.removeprefix("left_") for j in JOINTS if j.startswith("left_") and j[-1] in "123"
-                               and not j.startswith("left_eye"))),
-        }.items()
-    },
-}  # fmt: skip
+    **{f"{s}_{segment}": tuple(f"{s}_{j}" for j in joints) for s in SIDES for segment, joints in LIMB_JOINTS.items()},
+}
 """Segment -> its joints; it turns about the first one."""
+OF_FINGERS = {"finger3-3": "middle3", "finger2-1": "index1", "finger5-1": "pinky1"}
 LANDMARKS = {
-    "eye.L": "left_eye", "eye.R": "right_eye", "head": "head",
-    **{f"{ours}.{s[0].upper()}": f"{s}_{theirs}" for s in ("left", "right")
-       for ours, theirs in (("finger3-3", "middle3"), ("finger2-1", "index1"), ("finger5-1", "pinky1"))},
-}  # fmt: skip
+    "eye.L": "left_eye",
+    "eye.R": "right_eye",
+    "head": "head",
+    **{f"{ours}.{s[0].upper()}": f"{s}_{theirs}" for s in SIDES for ours, theirs in OF_FINGERS.items()},
+}
 TO_MESH = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """Rotation from SMPL-X's axes, with y up and the person facing +z, to the mesh frame."""
 DENSITY_KG_M3 = 980.0
@@ -97,9 +96,12 @@ along the forearm, as in real skin: turning a rigid forearm so far would twist t
 LICENCE = "the user's own file; SMPL-X model licence"
 
 REQUIRED = {
-    "v_template": ("V", 3), "f": ("F", 3), "weights": ("V", len(JOINTS)), "J_regressor": (len(JOINTS), "V"),
+    "v_template": ("V", 3),
+    "f": ("F", 3),
+    "weights": ("V", len(JOINTS)),
+    "J_regressor": (len(JOINTS), "V"),
     "kintree_table": (2, len(JOINTS)),
-}  # fmt: skip
+}
 OPTIONS = "sex=F or sex=M (required), age=adult or age=old, mass=KG, betas=B1,B2,..."
 
 
@@ -109,11 +111,7 @@ def smplx_path(name: str) -> Path:
 
 
 def load_smplx(name: str) -> Body:
-    """Load the body that ``smplx:FILE.npz?sex=F`` names.
-
-    Raises ConfigError naming the file and what is wrong: no file, no npz, a missing key, a wrong shape, another number
-    of joints or another tree of them, values that are not numbers, or an unknown option.
-    """
+    """Load the body that ``smplx:FILE.npz?sex=F`` names. Raises ConfigError that names the file and its fault."""
     place = smplx_path(name)
     # Check the file before the options: if its name is misspelt, an error about options would mislead.
     arrays, digest = _arrays(place)
@@ -144,12 +142,24 @@ def load_smplx(name: str) -> Body:
     if not 0.01 < volume < 0.3:
         raise ConfigError(f"{place}: the surface encloses {volume:.3g} m^3, which is not a person's in metres")
     body = Body(
-        name=name, sex=sex, age_group=age, mass_kg=mass or DENSITY_KG_M3 * volume, licence=LICENCE, vertices=vertices,
-        faces=faces, uv=uv, uv_faces=uv_faces, segments=segments, joint_centre=joint_centre, weight_segment=order,
-        weight=top / top.sum(1, keepdims=True), is_eye=is_eye,
+        name=name,
+        sex=sex,
+        age_group=age,
+        mass_kg=mass or DENSITY_KG_M3 * volume,
+        licence=LICENCE,
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        uv_faces=uv_faces,
+        segments=segments,
+        joint_centre=joint_centre,
+        weight_segment=order,
+        weight=top / top.sum(1, keepdims=True),
+        is_eye=is_eye,
         landmarks={ours: at[theirs] for ours, theirs in LANDMARKS.items()},
-        meta={"source": "SMPL-X", "parameters": {"sex": sex, "age": age, "betas": betas}}, sha256=digest,
-    )  # fmt: skip
+        meta={"source": "SMPL-X", "parameters": {"sex": sex, "age": age, "betas": betas}},
+        sha256=digest,
+    )
     for side in ("left", "right"):
         body = _palm_up(body, side, dense)
     return body
@@ -196,10 +206,8 @@ def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
     for key, shape in REQUIRED.items():
         expected = tuple(count[n][0] if isinstance(n, str) else n for n in shape)
         if arrays[key].shape != expected:
-            raise ConfigError(
-                f"{path}: {key} has shape {arrays[key].shape}, expected {expected}"
-                + (f" for the {len(JOINTS)} joints of SMPL-X" if len(JOINTS) in shape else "")
-            )
+            joints = f" for the {len(JOINTS)} joints of SMPL-X" if len(JOINTS) in shape else ""
+            raise ConfigError(f"{path}: {key} has shape {arrays[key].shape}, expected {expected}{joints}")
         if arrays[key].dtype.kind not in "fiu" or not np.isfinite(arrays[key]).all():
             raise ConfigError(f"{path}: {key} holds something other than finite numbers")
     faces = arrays["f"].astype(np.int64)
@@ -211,8 +219,8 @@ def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
 
 def _check_tree(table: npt.NDArray[Any], path: Path) -> None:
     """Check the parents of some joints, because this module identifies joints by their order alone."""
-    expected = {"left_elbow": "left_shoulder", "right_wrist": "right_elbow", "jaw": "head", "spine3": "spine2",
-                "left_middle1": "left_wrist", "right_pinky3": "right_pinky2", "left_foot": "left_ankle"}  # fmt: skip
+    expected = {"left_elbow": "left_shoulder", "right_wrist": "right_elbow", "jaw": "head", "spine3": "spine2"}
+    expected |= {"left_middle1": "left_wrist", "right_pinky3": "right_pinky2", "left_foot": "left_ankle"}
     for child, parent in expected.items():
         if int(table[0, JOINTS.index(child)]) != JOINTS.index(parent):
             raise ConfigError(
@@ -251,18 +259,10 @@ def _palm_up(body: Body, side: Literal["left", "right"], dense: Array) -> Body:
         across = off - parallel
         return elbow + parallel + np.cos(share) * across + np.sin(share) * np.cross(axis, across)
 
-    whole = np.ones(1)
     carried = dense[:, [body.segments.index(fore), body.segments.index(hand)]].sum(1)
-    return replace(
-        body,
-        vertices=turned(body.vertices, carried),
-        landmarks={
-            name: turned(place[None], whole)[0]
-            if name.startswith("finger") and name.endswith(side[0].upper())
-            else place
-            for name, place in body.landmarks.items()
-        },
-    )
+    own = [name for name in body.landmarks if name.startswith("finger") and name.endswith(side[0].upper())]
+    fingers = {name: turned(body.landmarks[name][None], np.ones(1))[0] for name in own}
+    return replace(body, vertices=turned(body.vertices, carried), landmarks=body.landmarks | fingers)
 
 
 def _texture(
@@ -275,8 +275,8 @@ def _texture(
     low, size = vertices.min(0), np.ptp(vertices, axis=0)
     flat = (vertices - low)[:, [0, 2]] / size[[0, 2]] * 0.98 + 0.01
     uv = np.concatenate([flat * [0.5, 1.0], flat * [0.5, 1.0] + [0.5, 0.0]])
-    corner = vertices[faces]
-    back = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 1] > 0
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    back = np.cross(b - a, c - a)[:, 1] > 0
     return uv, faces + np.where(back, len(vertices), 0)[:, None]
 
 
@@ -285,11 +285,7 @@ def _volume(vertices: Array, faces: npt.NDArray[np.int64]) -> float:
     return abs(float(np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum())) / 6
 
 
-# Bodies by name: the shipped archives, made by ``tools/bake_body.py``, and a user's own SMPL-X file.
-
-
 def body_names() -> list[str]:
-    """Names of the shipped bodies, sorted."""
     folder = body_folder()
     return sorted(p.name.removesuffix(".npz") for p in folder.iterdir() if p.name.endswith(".npz"))
 
@@ -297,8 +293,8 @@ def body_names() -> list[str]:
 def load_body(name: str) -> Body:
     """Load a shipped body by its name, or a user's own SMPL-X file as ``smplx:FILE.npz?sex=F``.
 
-    Raises UnknownNameError for any other name, AssetError where a shipped archive has no provenance file or does not
-    have the hash recorded there, and ConfigError for an SMPL-X file that cannot be used.
+    Raises UnknownNameError for any other name, AssetError for a shipped archive without the hash of its provenance
+    file, and ConfigError for an SMPL-X file that cannot be used.
     """
     if name.startswith(SMPLX_PREFIX):
         return load_smplx(name)
@@ -314,9 +310,9 @@ def load_body(name: str) -> Body:
         raise AssetError(f"body {name}.npz has sha256 {digest[:12]}..., its provenance file says {expected[:12]}...")
     with np.load(io.BytesIO(data)) as z:
         arrays = {k: z[k] for k in z.files}
-    segments = tuple(str(s) for s in arrays["segments"])
-    weight = arrays["weight"].astype(np.float64)
+    segments, weight = tuple(map(str, arrays["segments"])), arrays["weight"].astype(np.float64)
     centres = dict(zip(segments, arrays["joint_centres_m"].astype(np.float64), strict=True))
+    landmarks = zip(map(str, arrays["landmark_names"]), arrays["landmarks_m"].astype(np.float64), strict=True)
     # The rig's root and its first spine bone share one point. The pelvis turns about the hips, the trunk about L5/S1.
     centres["pelvis"] = (centres["left_thigh"] + centres["right_thigh"]) / 2
     centres["abdomen"] = centres["pelvis"] + 0.25 * (centres["thorax"] - centres["pelvis"])
@@ -336,9 +332,7 @@ def load_body(name: str) -> Body:
         weight_segment=arrays["weight_segment"].astype(np.int64),
         weight=weight / weight.sum(1, keepdims=True),
         is_eye=arrays["is_eye"],
-        landmarks=dict(
-            zip([str(n) for n in arrays["landmark_names"]], arrays["landmarks_m"].astype(np.float64), strict=True)
-        ),
+        landmarks=dict(landmarks),
         meta=meta,
         sha256=digest,
     )

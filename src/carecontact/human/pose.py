@@ -12,9 +12,6 @@ import numpy as np
 from carecontact.human.body import CHILD_ALONG, PARENT, Array, Body
 from carecontact.human.joints import Hinge, hinges
 
-# Contact of a lying body with the bed: spheres that touch its back from inside, and the tilt at which its trunk rests
-# on them.
-
 MOST_TILT_DEG = 1.5
 """Largest tilt [deg] of the trunk: the mattress gives way under the pelvis, which carries the most weight, until the
 trunk lies about level (assumed)."""
@@ -32,17 +29,16 @@ class Proxy:
 
 
 def bed_proxies(body: Body) -> list[Proxy]:
+    """Return the spheres on which a body lies, some of which touch the rearmost point of its surface from inside."""
     rows: list[Proxy] = []
 
-    def under(segment: str, name: str, surface: Array, radius: float, *, sunk_m: float = 0.0) -> None:
-        """Add a sphere that touches the rearmost point of a surface from inside or, with ``sunk_m``, stays so far from
-        it.
-        """
-        centre = surface - np.array([0, radius + sunk_m, 0])
+    def add(segment: str, name: str, centre: Array, radius: float) -> None:
         rows.append(Proxy(name=name, segment=segment, centre=centre, radius_m=radius))
 
-    j = body.joint_centre
-    sunk = pelvis_immersion(body)
+    def under(segment: str, name: str, surface: Array, radius: float, *, sunk_m: float = 0.0) -> None:
+        add(segment, name, surface - np.array([0, radius + sunk_m, 0]), radius)
+
+    j, sunk = body.joint_centre, pelvis_immersion(body)
     for side in ("left", "right"):
         buttock, scapula = _trunk_supports(body, side)
         under("pelvis", f"{side}_buttock", buttock, BUTTOCK_RADIUS_M, sunk_m=sunk)
@@ -53,24 +49,20 @@ def bed_proxies(body: Body) -> list[Proxy]:
         under(f"{side}_foot", f"{side}_heel", foot[foot[:, 1].argmax()], 0.025)
         # Limbs turn about their own axis, so that a sphere centred on it meets the bed in the same way at every turn.
         # A percentile of the section's radii serves as radius, so that the skin does not sink into the board.
-        for segment, along, name, inside in (
-            ("upper_arm", 0.95, "elbow", 60), ("forearm", 0.92, "wrist", 85), ("hand", 0.55, "hand", 60),
-        ):  # fmt: skip
+        limbs = ("upper_arm", 0.95, "elbow", 60), ("forearm", 0.92, "wrist", 85), ("hand", 0.55, "hand", 60)
+        for segment, along, name, inside in limbs:
             full = f"{side}_{segment}"
             points = body.vertices_of(full, *([f"{side}_forearm"] if segment == "upper_arm" else []))
-            axis = body.axis_vector(full)
-            length = float(np.linalg.norm(axis))
-            unit = axis / length
+            axis, unit = body.axis_vector(full), body.direction(full)
             centre = j[full] + along * axis
             near = points[np.abs((points - centre) @ unit) < 0.02]
             off = near - centre
             centre = centre + (off.mean(0) - (off.mean(0) @ unit) * unit)
             off = near - centre
             radius = float(np.percentile(np.linalg.norm(off - np.outer(off @ unit, unit), axis=1), inside))
-            rows.append(Proxy(name=f"{side}_{name}", segment=full, centre=centre, radius_m=radius))
+            add(full, f"{side}_{name}", centre, radius)
     head = body.vertices_of("head")
-    occiput = head[head[:, 1].argmax()]
-    under("head", "occiput", np.array([0, occiput[1], occiput[2]]), 0.07)
+    under("head", "occiput", head[head[:, 1].argmax()] * [0.0, 1.0, 1.0], 0.07)
     return rows
 
 
@@ -85,11 +77,8 @@ def pelvis_immersion(body: Body) -> float:
 
 
 def trunk_tilt(body: Body) -> float:
-    """Return the angle [rad] by which the trunk's head end is lowered when buttocks and shoulder blades rest on the
-    bed.
-    """
-    at = {p.name: p for p in bed_proxies(body)}
-    low, high = at["right_buttock"], at["right_scapula"]
+    """Return the angle [rad] by which the head end of a trunk that lies on its four supports is lowered."""
+    low, high = (p for p in bed_proxies(body) if p.name in ("right_buttock", "right_scapula"))
     along, depth = high.centre[2] - low.centre[2], low.centre[1] - high.centre[1]
     # The angle of the common tangent of two circles, from the line of their centres and the difference of their radii.
     return float(np.arctan2(depth, along) + np.arcsin((low.radius_m - high.radius_m) / np.hypot(along, depth)))
@@ -111,8 +100,6 @@ def _back_of(points: Array, near: Array, radius: float = 0.04) -> Array:
     return np.array([near[0], close[:, 1].max(), near[2]])
 
 
-# The lying pose: the angle of each hinge before the person settles.
-
 BOARD_HEIGHT_M = 0.022
 """Height of the padded arm board above the mattress: it bends the elbow a little, so that every joint of the arm rests
 inside its range."""
@@ -126,19 +113,21 @@ board."""
 SUPINE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-# Segments welded in the lying pose, declared: no task moves them, and their hinges cost time in every step. Trunk and
-# legs still lie on the bed by contact, so that the bed carries the person's weight and every press.
 FIXED_SEGMENTS = frozenset(
     ["abdomen", "thorax", *(f"{s}_{n}" for s in ("left", "right") for n in ("clavicle", "thigh", "shank", "foot"))]
 )
-
-
+"""Segments that are welded in the lying pose: no task moves them, and their hinges cost time in every step. Trunk and
+legs still lie on the bed by contact, so that the bed carries the person's weight and every press."""
 LIES_DEG = {
-    "right_upper_arm_rotation": 0.0, "right_forearm_supination": 58.0, "right_hand_flexion": 0.0,
-    "left_upper_arm_abduction": 22.0, "left_upper_arm_rotation": 10.0, "left_forearm_supination": 45.0,
+    "right_upper_arm_rotation": 0.0,
+    "right_forearm_supination": 58.0,
+    "right_hand_flexion": 0.0,
+    "left_upper_arm_abduction": 22.0,
+    "left_upper_arm_rotation": 10.0,
+    "left_forearm_supination": 45.0,
     **{f"{s}_thigh_abduction": 3.0 for s in ("left", "right")},
     **{f"{s}_foot_plantarflexion": 18.0 for s in ("left", "right")},
-}  # fmt: skip
+}
 """Angles [deg] that are the same for every body; the right arm lies palm up on its board. Other hinges keep the bind
 pose, except the flexion of shoulder, elbow and hip, which follows from the body's own thickness."""
 
@@ -159,14 +148,12 @@ class ArmTurn:
 
     def angles(self) -> dict[str, float]:
         """Return hinge -> angle [deg], which replace those of LIES_DEG."""
-        rotation, palm = "right_upper_arm_rotation", "right_forearm_supination"
         if not (self.shoulder_rotation_deg or self.palm_deg):
             return {}
-        turned = PALM_PER_ROTATION * self.shoulder_rotation_deg + self.palm_deg
-        return {
-            rotation: LIES_DEG[rotation] + self.shoulder_rotation_deg,
-            palm: float(np.clip(LIES_DEG[palm] + turned, *PALM_DEG)),
-        }
+        rotation, palm = "right_upper_arm_rotation", "right_forearm_supination"
+        turned = LIES_DEG[palm] + (PALM_PER_ROTATION * self.shoulder_rotation_deg + self.palm_deg)
+        shoulder = LIES_DEG[rotation] + self.shoulder_rotation_deg
+        return {rotation: shoulder, palm: float(np.clip(turned, *PALM_DEG))}
 
 
 NOT_TURNED = ArmTurn()
@@ -221,10 +208,10 @@ def rest_deg(rows: Sequence[Hinge], pose_deg: dict[str, float]) -> list[float]:
     """
     rest: list[float] = []
     for row in rows:
-        side = row.name.partition("_")[0]
-        turned = f"{side}_upper_arm_rotation"
-        free = row.neutral_deg is not None and pose_deg.get(turned, 0.0) == LIES_DEG.get(turned, 0.0)
-        rest.append(row.neutral_deg if free and row.neutral_deg is not None else pose_deg.get(row.name, row.bind_deg))
+        turned = f"{row.name.partition('_')[0]}_upper_arm_rotation"
+        free = pose_deg.get(turned, 0.0) == LIES_DEG.get(turned, 0.0)
+        laid = pose_deg.get(row.name, row.bind_deg)
+        rest.append(row.neutral_deg if free and row.neutral_deg is not None else laid)
     return rest
 
 
@@ -241,9 +228,7 @@ def angle_of_root(gap: Callable[[float], float], low: float, high: float) -> flo
 
 
 def trunk_rotation(body: Body) -> Array:
-    """Return the rotation (3, 3) from the mesh frame to the world of a trunk on its supports: supine, with the head end
-    a little lower.
-    """
+    """Return the rotation (3, 3) from the mesh frame to the world of a supine trunk on its supports."""
     return axis_rotation(np.array([0.0, 1.0, 0.0]), trunk_tilt(body)) @ SUPINE
 
 
@@ -264,11 +249,9 @@ def segment_pose(
     """Return a segment's rotation (3, 3) from the mesh frame to the world, and the vector (3,) [m] from the pelvis'
     joint to its own. ``trunk``: the pelvis' rotation (3, 3).
     """
-    chain: list[str] = []
-    link: str | None = segment
-    while link is not None:
-        chain.insert(0, link)
-        link = PARENT[link]
+    chain = [segment]
+    while (parent := PARENT[chain[0]]) is not None:
+        chain.insert(0, parent)
     turn, place = trunk, np.zeros(3)
     for parent, child in pairwise(chain):
         place = place + turn @ (body.joint_centre[child] - body.joint_centre[parent])
@@ -297,8 +280,6 @@ def axis_rotation(axis: Array, angle: float) -> Array:
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
 
-
-# Where the trunk obstructs a robot's hand that comes straight down on an arm.
 
 HAND_REACH_M, HAND_OVER_TIP_M = 0.10, 0.035
 """Dimensions of the robot's hand, whichever way it is turned: half its width, and the height of its underside over the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,6 @@ from carecontact.human.pose import NOT_TURNED, ArmTurn
 from carecontact.interface.geometry import Triangles
 from carecontact.interface.regions import REGIONS, Tube
 from carecontact.protocol.person import Tissue
-
-# The shell of a soft region, and how it is made from rows of points.
 
 GROWTH = 0.4
 """Increase of the spacing [m] for each metre of distance from the fine patch."""
@@ -70,27 +69,39 @@ def spacing(tissue: Tissue, distance: Array) -> Array:
     return np.clip(tissue.spacing_m + GROWTH * distance, None, tissue.coarse_spacing_m)
 
 
-def finish(
-    rows: list[Array], grid: Array, *, fine: npt.NDArray[np.bool_], axis_points: Array, origin: Array, frame: Array,
-    length: float, radius: float, depth: float,
-) -> Shell:  # fmt: skip
-    """Return the shell over rows of points: triangles between the rows, normals and areas.
+Step = Callable[[float, Array], Array]
+Ray = Callable[[float, Array], tuple[Array, Array]]
+
+
+def meshed(
+    t: Array, half_width: float, *, step: Step, ray: Ray, away: Callable[[Array, Array], Array], **others: Any
+) -> Shell:
+    """Return the shell over rows of points at places ``t`` (n,) along a region, each ``half_width`` [rad or m] wide.
 
     Args:
-        rows: (n_i, 3) points of each row across the region.
-        grid: (N, 2) place of each point, as in ``Shell``.
+        step: place of a row, and (n,) places across it -> (n,) widest step there.
+        ray: the same -> (n, 3) points of the axis, and the ways (n, 3) from there to the skin.
+        away: (n,) places along and across -> (n,) distance from the fine patch [m].
     """
+    across = [graded_from_middle(half_width, partial(step, at), half_step=bool(i % 2)) for i, at in enumerate(t)]
+    rays = [ray(at, s) for at, s in zip(t, across, strict=True)]
+    rows, axis_points = [foot + way for foot, way in rays], np.concatenate([foot for foot, _ in rays])
+    grid = np.stack([np.repeat(t, [len(s) for s in across]), np.concatenate(across)], 1)
     vertices, triangles = np.concatenate(rows), zip_rows(rows)
     normals, area = normals_and_areas(vertices, triangles)
     if np.einsum("ij,ij->i", normals, vertices - axis_points).mean() < 0:
         triangles, normals = triangles[:, ::-1], -normals
     return Shell(
-        vertices=vertices, normals=normals, triangles=triangles, fine=fine, area=area, axis_points=axis_points,
-        grid=grid, frame_origin=origin, frame=frame, length_m=length, radius_m=radius, axis_depth_m=depth,
-    )  # fmt: skip
+        vertices=vertices,
+        normals=normals,
+        triangles=triangles,
+        fine=away(grid[:, 0], grid[:, 1]) <= 1e-9,
+        area=area,
+        axis_points=axis_points,
+        grid=grid - [t[0], 0.0],
+        **others,
+    )
 
-
-# The shell of a limb: a tube around it, sampled by rays from the line through the centres of its cross-sections.
 
 SHELL_HALF_DEG = 150.0
 FINE_HALF_LENGTH_M, FINE_HALF_ROUND_DEG = 0.085, 60.0
@@ -158,9 +169,7 @@ class _Limb:
         return Triangles(triangles[np.linalg.norm(middle - np.outer(middle @ x, x), axis=1) < 0.12])
 
     def centre_line(self, surface: Triangles, t: Array) -> Callable[[Array], Array]:
-        """Return the line through the centres of the cross-sections (midpoints of opposite surface points) as a cubic
-        along the limb.
-        """
+        """Return a cubic along the limb through the centres of its cross-sections (midpoints of opposite points)."""
         x, y, z = self.frame.T
         directions = self.directions(np.linspace(0, 2 * np.pi, 12, endpoint=False))
         off = np.zeros((len(t), 3))
@@ -191,54 +200,44 @@ def limb_shell(body: Body, segment: str, tube: Tube, outward: Array, tissue: Tis
     sigma = SMOOTHING_M / np.ptp(sections), SMOOTHING_M / (2 * np.pi * radius)
     radius_at = smooth_field(sections, turns, measured, sigma=sigma, wrap=True)
 
-    t = graded(limb.low, limb.high, lambda u: ROW_RATIO * spacing(tissue, _away(limb, tube, u, np.zeros(len(u)), 1.0)))
-    angles = _angles(limb, tube, tissue, t, radius_at)
-    radii = [radius_at(at, theta) for at, theta in zip(t, angles, strict=True)]
-    rows = [
-        centre + distance[:, None] * limb.directions(theta)
-        for centre, distance, theta in zip(line(t), radii, angles, strict=True)
-    ]
-    counts = [len(theta) for theta in angles]
-    grid = np.stack([np.repeat(t, counts), np.concatenate(angles)], 1)
-    x = limb.frame[:, 0]
-    centre = line(np.array([limb.middle * limb.length]))[0] - limb.start
-    return finish(
-        rows, grid - [limb.low, 0.0],
-        fine=_away(limb, tube, grid[:, 0], grid[:, 1], radius) <= 1e-9,
-        axis_points=np.repeat(line(t), counts, 0),
-        origin=limb.start + limb.middle * limb.along + (centre - (centre @ x) * x), frame=limb.frame,
-        length=limb.region_length, radius=radius, depth=float(radius_at(limb.middle * limb.length, np.zeros(1))[0]),
-    )  # fmt: skip
+    def step_along(u: Array) -> Array:
+        return ROW_RATIO * spacing(tissue, _away(limb, tube, u, np.zeros(len(u)), 1.0))
+
+    def step(at: float, theta: Array) -> Array:
+        distance = radius_at(at, theta)
+        return spacing(tissue, _away(limb, tube, at, theta, float(np.median(distance)))) / distance
+
+    def ray(at: float, theta: Array) -> tuple[Array, Array]:
+        way = radius_at(at, theta)[:, None] * limb.directions(theta)
+        return np.repeat(line(np.array([at])), len(theta), 0), way
+
+    x, at_middle = limb.frame[:, 0], limb.middle * limb.length
+    centre = line(np.array([at_middle]))[0] - limb.start
+    return meshed(
+        graded(limb.low, limb.high, step_along),
+        np.radians(SHELL_HALF_DEG),
+        step=step,
+        ray=ray,
+        away=lambda t, theta: _away(limb, tube, t, theta, radius),
+        frame_origin=limb.start + limb.middle * limb.along + (centre - (centre @ x) * x),
+        frame=limb.frame,
+        length_m=limb.region_length,
+        radius_m=radius,
+        axis_depth_m=float(radius_at(at_middle, np.zeros(1))[0]),
+    )
 
 
-def _away(limb: _Limb, tube: Tube, t: Array, theta: Array, radius: float) -> Array:
+def _away(limb: _Limb, tube: Tube, t: Array | float, theta: Array, radius: float) -> Array:
     """Return the distance (n,) [m] from the fine patch along the surface; 0 inside it."""
 
     def outside(middle: float, half_length: float, half_deg: float) -> Array:
         round_ = distance_outside(theta, np.radians(half_deg)) * radius
-        return np.hypot(distance_outside(t - middle, half_length), round_)
+        return np.hypot(distance_outside(np.asarray(t - middle), half_length), round_)
 
     top = outside(*limb.fine, FINE_HALF_ROUND_DEG)
     side = (limb.low + limb.high) / 2, SIDE_HALF_LENGTH_M, SIDE_HALF_ROUND_DEG
     return np.minimum(top, outside(*side)) if tube.pushed_from_side else top
 
-
-def _angles(
-    limb: _Limb, tube: Tube, tissue: Tissue, t: Array, radius_at: Callable[[float | Array, Array], Array]
-) -> list[Array]:
-    """Return the angles [rad] of each row's points."""
-    angles = []
-    for i, at in enumerate(t):
-
-        def step(theta: Array, at=at) -> Array:
-            distance = radius_at(at, theta)
-            return spacing(tissue, _away(limb, tube, at, theta, float(np.median(distance)))) / distance
-
-        angles.append(graded_from_middle(np.radians(SHELL_HALF_DEG), step, half_step=bool(i % 2)))
-    return angles
-
-
-# The shell of the abdomen: a patch sampled by rays from the trunk's back plane to its front.
 
 WIDTH_SHARE = 0.82
 """Half width of the patch as a share of the narrowest section's half breadth: the trunk's side, farther out, cannot be
@@ -298,30 +297,26 @@ def trunk_shell(body: Body, outward: Array, tissue: Tissue) -> Shell:
         width = spacing(tissue, belly.away(u, np.zeros(len(u))))
         return ROW_RATIO * width / slant(middle - [1e-3, 0], middle + [1e-3, 0])
 
-    t = graded(low, high, step_along)
-    across = []
-    for i, height in enumerate(t):
+    def step(height: float, s: Array) -> Array:
+        at = np.stack([np.full(len(s), height), s], 1)
+        return spacing(tissue, belly.away(height, s)) / slant(at - [0, 1e-3], at + [0, 1e-3])
 
-        def step(s: Array, height=height) -> Array:
-            at = np.stack([np.full(len(s), height), s], 1)
-            return spacing(tissue, belly.away(height, s)) / slant(at - [0, 1e-3], at + [0, 1e-3])
-
-        across.append(graded_from_middle(belly.half_width, step, half_step=bool(i % 2)))
-    feet = [belly.foot(height, s) for height, s in zip(t, across, strict=True)]
-    rows = [foot + depth_at(height, s)[:, None] * z for foot, height, s in zip(feet, t, across, strict=True)]
-    grid = np.stack([np.repeat(t, [len(s) for s in across]), np.concatenate(across)], 1)
-    return finish(
-        rows, grid - [low, 0.0],
-        fine=belly.away(grid[:, 0], grid[:, 1]) <= 1e-9, axis_points=np.concatenate(feet),
-        origin=back + (low + high) / 2 * x, frame=frame, length=high - low,
-        radius=belly.half_width, depth=float(depth_at((low + high) / 2, np.zeros(1))[0]),
-    )  # fmt: skip
+    return meshed(
+        graded(low, high, step_along),
+        belly.half_width,
+        step=step,
+        ray=lambda height, s: (belly.foot(height, s), depth_at(height, s)[:, None] * z),
+        away=belly.away,
+        frame_origin=back + (low + high) / 2 * x,
+        frame=frame,
+        length_m=high - low,
+        radius_m=belly.half_width,
+        axis_depth_m=float(depth_at((low + high) / 2, np.zeros(1))[0]),
+    )
 
 
 def _depth(body: Body, belly: _Belly) -> Callable[[float | Array, Array], Array]:
-    """Return a function that gives the smoothed distance [m] of the skin from the back plane at heights and
-    breadths.
-    """
+    """Return the smoothed distance [m] of the skin from the back plane as a function of height and breadth."""
     low, high = belly.low, belly.high
     faces = body.vertices[body.faces]
     triangles = faces[
@@ -352,8 +347,6 @@ def belly_half_width(body: Body) -> float:
     return WIDTH_SHARE * float(breadth.min())
 
 
-# Keeps shells on disk: computing one takes a tenth of a second, and importing the splines for it half a second.
-
 SHAPING = Path(__file__).parent
 """Folder of all modules that shape a person."""
 
@@ -362,13 +355,17 @@ def cached_shell(
     body: Body, region: str, tissue: Tissue, compute: Callable[[], Shell], *, turn: ArmTurn = NOT_TURNED
 ) -> Shell:
     """Return the shell that ``compute`` gave earlier for the same body, region, tissue, turn of the arm and release; if
-    there is none, call it.
+    there is none, call it, which takes a tenth of a second, and half a second more to import the splines.
     """
     facts = {
-        "body": [body.name, body.sha256], "region": [region, repr(REGIONS[region])],
-        "tissue": tissue.model_dump(mode="json"), "turn": repr(turn), "source": source_sha256(SHAPING),
-        "numpy": np.__version__, "scipy": version("scipy"),
-    }  # fmt: skip
+        "body": [body.name, body.sha256],
+        "region": [region, repr(REGIONS[region])],
+        "tissue": tissue.model_dump(mode="json"),
+        "turn": repr(turn),
+        "source": source_sha256(SHAPING),
+        "numpy": np.__version__,
+        "scipy": version("scipy"),
+    }
 
     def arrays() -> Arrays:
         shell = compute()

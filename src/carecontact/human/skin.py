@@ -18,8 +18,6 @@ from carecontact.human.library import body_file, body_names
 from carecontact.human.mesh import refined
 from carecontact.human.skeleton import body_name
 
-# The visible skin: a MuJoCo skin that the skeleton moves, with a procedural texture. It has no contact.
-
 TEXTURE_SIZE = 1024
 WAVES = 16
 
@@ -35,9 +33,7 @@ GREY = (168, 164, 158)
 
 
 def baked_texture(name: str) -> npt.NDArray[np.uint8]:
-    """Return the default texture (TEXTURE_SIZE, TEXTURE_SIZE, 3) of a shipped body. Raises AssetError if it is missing
-    or broken.
-    """
+    """Return a shipped body's texture (TEXTURE_SIZE, TEXTURE_SIZE, 3). Raises AssetError if it is not there."""
     file = f"{name}.skin.png"
     try:
         image = cv2.imdecode(np.frombuffer(body_file(file), np.uint8), cv2.IMREAD_COLOR)
@@ -56,9 +52,7 @@ def texture_of(body: Body) -> npt.NDArray[np.uint8]:
 
 
 def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
-    """Add one skin over all segments. Corners of triangles that share a vertex but not a texture point become two
-    vertices.
-    """
+    """Add one skin over all segments; a vertex with two points of the texture becomes two."""
     pairs = np.stack([body.faces.ravel(), body.uv_faces.ravel()], 1)
     unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
     vertex = unique[:, 0]
@@ -78,13 +72,19 @@ def add_skin(spec: mujoco.MjSpec, body: Body) -> None:
     material = spec.add_material(name="human_skin", specular=0.12, shininess=0.15)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "human_skin"
     spec.add_skin(
-        name="human", vert=body.vertices[vertex].ravel().astype(np.float32),
+        name="human",
+        vert=body.vertices[vertex].ravel().astype(np.float32),
         texcoord=coordinates.ravel().astype(np.float32),
-        face=inverse.reshape(-1).astype(np.int32), bodyname=[body_name(s) for s in body.segments],
+        face=inverse.reshape(-1).astype(np.int32),
+        bodyname=[body_name(s) for s in body.segments],
         bindpos=np.array([body.joint_centre[s] for s in body.segments]).ravel().astype(np.float32),
-        bindquat=np.tile([1, 0, 0, 0], len(body.segments)).astype(np.float32), vertid=ids, vertweight=weights,
-        group=0, rgba=[1, 1, 1, 1], material="human_skin",
-    )  # fmt: skip
+        bindquat=np.tile([1, 0, 0, 0], len(body.segments)).astype(np.float32),
+        vertid=ids,
+        vertweight=weights,
+        group=0,
+        rgba=[1, 1, 1, 1],
+        material="human_skin",
+    )
 
 
 def paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
@@ -182,8 +182,6 @@ def _paint_head(
             colour[front & (r < 0.003)] = (12, 12, 12)
 
 
-# Appearance of the person: skin, clothes and hair are drawn by a seed and painted on the body's own texture.
-
 Rgb = tuple[int, int, int]
 
 SKIN_TONES: dict[str, Rgb] = {
@@ -201,11 +199,8 @@ HAIR: dict[str, Rgb] = {
     "grey": (168, 164, 158), "white": (206, 204, 200),
 }  # fmt: skip
 
-SPLITS = {
-    3: ("pelvis", "abdomen", "left_thigh", "right_thigh"), 1: ("head",),
-    2: ("thorax", *(f"{side}_{part}" for side in ("left", "right")
-                    for part in ("clavicle", "upper_arm", "forearm", "shank"))),
-}  # fmt: skip
+_LIMBS = (f"{side}_{part}" for side in ("left", "right") for part in ("clavicle", "upper_arm", "forearm", "shank"))
+SPLITS = {3: ("pelvis", "abdomen", "left_thigh", "right_thigh"), 1: ("head",), 2: ("thorax", *_LIMBS)}
 """How often triangles are split before painting -> segments. An edge of clothes or a feature of the face crosses them,
 and each has one tone of the skin's mottling, which shows as stripes where large triangles meet."""
 
@@ -226,22 +221,17 @@ def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
         fine = body
         for times, segments in SPLITS.items():
             fine = refined(fine, *segments, times=times)
-        return {
-            "vertices": fine.vertices, "faces": fine.faces.astype(np.int32), "owner": fine.owner.astype(np.int32),
-            "is_eye": fine.is_eye, "painters": painters(fine),
-        }  # fmt: skip
+        faces, owner = fine.faces.astype(np.int32), fine.owner.astype(np.int32)
+        kept = {"vertices": fine.vertices, "faces": faces, "owner": owner, "is_eye": fine.is_eye}
+        return kept | {"painters": painters(fine)}
 
-    facts = {
-        "body": [body.name, body.sha256], "splits": SPLITS, "source": source_sha256(Path(__file__).parent),
-        "numpy": np.__version__, "cv2": cv2.__version__,
-    }  # fmt: skip
+    facts: dict[str, object] = {"body": [body.name, body.sha256], "splits": SPLITS}
+    facts |= {"source": source_sha256(Path(__file__).parent), "numpy": np.__version__, "cv2": cv2.__version__}
     found = cached("paint", facts, compute)
     owner = found["owner"].astype(np.int64)[:, None]
-    fine = replace(
-        body, vertices=found["vertices"], faces=found["faces"].astype(np.int64), is_eye=found["is_eye"],
-        weight_segment=owner, weight=np.ones(owner.shape),
-    )  # fmt: skip
-    return coloured(found["painters"], fine, appearance)
+    faces, weight = found["faces"].astype(np.int64), np.ones(owner.shape)
+    fine = replace(body, vertices=found["vertices"], faces=faces, weight_segment=owner, weight=weight)
+    return coloured(found["painters"], replace(fine, is_eye=found["is_eye"]), appearance)
 
 
 def set_appearance(model: mujoco.MjModel, body: Body, appearance: Appearance) -> None:

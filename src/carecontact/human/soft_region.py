@@ -11,17 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.human.body import Array, Body
-from carecontact.human.hulls import BARE_SOLIMP, BARE_SOLREF, SOLIMP, SOLREF
 from carecontact.human.shell import Shell
-from carecontact.human.skeleton import HIDDEN_GROUP, ROBOT_ONLY, body_name
+from carecontact.human.skeleton import add_hull, body_name
 from carecontact.interface.regions import REGIONS, Tube
 from carecontact.protocol.person import Tissue
 from carecontact.tissue.plugin import LOCK, Mesh, add_region
 
-# Thickness and stiffness of the tissue of a body that is slimmer or heavier than the person of a tissue row.
-#
-# A row names the body mass index of its person. For another body, the tissue is thicker or thinner according to
-# ultrasound and weight gain, and its law is weaker or stronger according to finite elements of that thickness. The
+# A row of tissue names the body mass index of its person. For another body, the tissue is thicker or thinner according
+# to ultrasound and weight gain, and its law is weaker or stronger according to finite elements of that thickness. The
 # modulus is unchanged: no publication was found on how it depends on build.
 
 LEAST_BMI, MOST_BMI = 18.5, 40.0
@@ -49,10 +46,11 @@ GROWTH = {
     "forearm": Growth(thickness_m=0.00014, weakening=1.02, source=f"as on the upper arm (assumed): {_ARM_FAT}"),
     "upper_arm": Growth(thickness_m=0.00014, weakening=0.60, source=_ARM_FAT),
     "abdomen": Growth(
-        thickness_m=0.0012, weakening=0.16,
+        thickness_m=0.0012,
+        weakening=0.16,
         source="20 kg more add 2 to 14 mm to the trunk's soft tissue: their middle, at man-adult's stature",
     ),
-}  # fmt: skip
+}
 """Region -> its growth. Any other region has the thickness and the law of its row on every body."""
 
 
@@ -83,8 +81,6 @@ def stiffened(row: Tissue, factor: float) -> Tissue:
     return row.model_copy(update={**changed, **{name: factor**0.5 * getattr(row, name) for name in rooted}})
 
 
-# How much people's tissue differs in stiffness, as a distribution from which a seed can draw.
-
 P95 = 1.6448536269514722
 """The 95th percentile of the standard normal distribution."""
 WIDEST = 2.0
@@ -114,18 +110,18 @@ class Spread:
 
 _MULTIS = "secant stiffness, 91-95 adults: MULTIS (Neumann et al. 2018, Sci Data 5:180193; 2019, J Biomech 95:109307)"
 SPREADS = {
-    "forearm": Spread(
-        p5=0.7445 / 1.1903, p95=2.1519 / 1.1903, together="arm", source=f"{_MULTIS}, anterior forearm"
-    ),
+    "forearm": Spread(p5=0.7445 / 1.1903, p95=2.1519 / 1.1903, together="arm", source=f"{_MULTIS}, anterior forearm"),
     "upper_arm": Spread(
         p5=0.4341 / 0.6445, p95=1.4601 / 0.6445, together="arm", source=f"{_MULTIS}, anterior upper arm"
     ),
     "abdomen": Spread(
-        p5=6.4795 / 7.9611, p95=9.3256 / 7.9611, together="trunk",
+        p5=6.4795 / 7.9611,
+        p95=9.3256 / 7.9611,
+        together="trunk",
         source="force at 22 mm of ten men, mean of sites R1-R5: Remus et al. 2024, Front Bioeng Biotechnol 12:1384062, "
         "supplement S1",
     ),
-}  # fmt: skip
+}
 """Region -> its spread. The tissue of any other region is not varied."""
 
 
@@ -140,8 +136,6 @@ def draw_tissue(rng: np.random.Generator, rows: Mapping[str, Tissue]) -> dict[st
     }
 
 
-# A soft region in the model: the shell over a bone that the compiled tissue moves, and the bone's core beneath it.
-#
 # The shell is no part of MuJoCo's degrees of freedom. Each of its vertices has three displacements: along its inward
 # normal, which the anchor law of the paper's Eq. 3 resists, f_c = K_c phi + D_c dphi/dt, and along two tangents. The
 # force between neighbours (f_int of Eq. 1) is the discrete Laplacian of the indentation if ``Tissue.coupling_length_m``
@@ -158,8 +152,6 @@ loses a tenth of its strip on cells of 15 mm, and a thirtieth on these."""
 
 @dataclass(frozen=True, kw_only=True)
 class SoftRegion:
-    """A region's shell in the model."""
-
     name: str
     shell: Shell
     tissue: Tissue
@@ -195,9 +187,18 @@ class DeclaredCells:
 
 
 def add_tissue(
-    spec: mujoco.MjSpec, body: Body, region: str, shell: Shell, tissue: Tissue, *, tools: str,
-    tip: str = "", ledger: bool = False, on: str | None = None, floor: str | None = None,
-) -> SoftRegion:  # fmt: skip
+    spec: mujoco.MjSpec,
+    body: Body,
+    region: str,
+    shell: Shell,
+    tissue: Tissue,
+    *,
+    tools: str,
+    tip: str = "",
+    ledger: bool = False,
+    on: str | None = None,
+    floor: str | None = None,
+) -> SoftRegion:
     """Add shell and bone core of one region. Call it after the skeleton.
 
     Args:
@@ -212,20 +213,22 @@ def add_tissue(
     limb = isinstance(REGIONS[region].shape, Tube)
     cells = DeclaredCells.of(shell, limb=limb)
     mesh = Mesh(
-        places=shell.vertices - origin, inward=-shell.normals, along=shell.frame[:, 0], triangles=shell.triangles,
-        areas=shell.area, cells=cells.of_triangle,
-    )  # fmt: skip
-    bone = spec.body(on or body_name(REGIONS[region].segment))
-    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, tools=tools, tip=tip, ledger=ledger,
-               lock=LOCK if limb else 0.0)  # fmt: skip
+        places=shell.vertices - origin,
+        inward=-shell.normals,
+        along=shell.frame[:, 0],
+        triangles=shell.triangles,
+        areas=shell.area,
+        cells=cells.of_triangle,
+    )
+    bone, lock = spec.body(on or body_name(REGIONS[region].segment)), LOCK if limb else 0.0
+    contact = {"tools": tools, "tip": tip, "ledger": ledger, "lock": lock}
+    add_region(spec, name=region, bone=bone, mesh=mesh, tissue=tissue, **contact)
     _add_core(spec, region, shell, tissue, origin, floor=floor)
     return SoftRegion(name=region, shell=shell, tissue=tissue, cells=cells)
 
 
 def inner_surface(shell: Shell, thickness_m: float) -> Array:
-    """Return the shell's vertices (N, 3), moved inward along their normals by the tissue's thickness, but never beyond
-    the region's axis.
-    """
+    """Return the shell's vertices (N, 3), moved inward by the tissue's thickness, at most to near the axis."""
     room = np.einsum("ij,ij->i", shell.vertices - shell.axis_points, shell.normals) - CORE_MIN_RADIUS_M
     return shell.vertices - np.clip(thickness_m, 0.0, np.maximum(room, 0.0))[:, None] * shell.normals
 
@@ -245,14 +248,8 @@ def _add_core(
     width = CORE_SECTOR_RAD if limb else CORE_PIECE_M
     key = np.floor(middle / [CORE_PIECE_M, width] + [0.0, 0.5]).astype(np.int64)
     bone = spec.body(floor or body_name(REGIONS[region].segment))
-    solref, solimp = (BARE_SOLREF, BARE_SOLIMP) if floor is None else (SOLREF, SOLIMP)
     for number, piece in enumerate(np.unique(key, axis=0)):
         corners = np.unique(shell.triangles[(key == piece).all(1)])
         points = np.concatenate([inner[corners], axis[corners]])
         name = f"human_core_{region}_{number}"
-        spec.add_mesh(name=name, uservert=points.ravel(), maxhullvert=40)
-        bone.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, mass=0, group=HIDDEN_GROUP, condim=3,
-            friction=[tissue.friction, 0.005, 0.0001], solref=list(solref), solimp=list(solimp), priority=1,
-            **ROBOT_ONLY,
-        )  # fmt: skip
+        add_hull(spec, bone, name, points, friction=tissue.friction, plate=floor is not None)

@@ -14,10 +14,12 @@ from carecontact.errors import ActionError
 from carecontact.interface.robot import Session
 from carecontact.registry import Registry
 
-# What a policy may answer.
-
 MAX_CHUNK = 2000
 """Largest number of actions in one answer (a chunk)."""
+NEAR_BASE_M = 0.12
+"""The robot's base stands there: no tool can be so near, but every difference of two poses is."""
+EVERY_SPACE = ("gripper", "done")
+"""Fields of an action that belong to no space."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +49,6 @@ class Action:
 # Hints about refused actions: what their numbers look like, and what to send instead. A hint is empty if the numbers
 # resemble no known mistake.
 
-NEAR_BASE_M = 0.12
-"""The robot's base stands there: no tool can be so near, but every difference of two poses is."""
-
 
 def pose_shape_hint(shape: tuple[int, ...]) -> str:
     """Return a clause, with its semicolon, about numbers of a shape other than (7,) in place of one pose."""
@@ -67,35 +66,30 @@ def pose_shape_hint(shape: tuple[int, ...]) -> str:
 
 
 def looks_like_difference(position: npt.NDArray[np.float64]) -> str:
-    """Return what is said of a position (3,) [m] that is too near the robot's base to be a target."""
-    if math.hypot(*position) >= NEAR_BASE_M:
-        return ""
-    return "looks like a difference to the tool's pose: send the absolute pose of the tool in base"
+    """Hint for a position (3,) [m] that is too near the robot's base to be a target."""
+    near = math.hypot(*position) < NEAR_BASE_M
+    return "looks like a difference to the tool's pose: send the absolute pose of the tool in base" if near else ""
 
 
 def looks_like_millimetres(
     position: npt.NDArray[np.float64], low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
 ) -> str:
-    """Return what is said of a position (3,) that lies in the workspace if its numbers are millimetres. The corners of
-    the workspace in base are ``low`` and ``high`` (3,) [m]."""
+    """Hint for a position (3,) that lies in the workspace if its numbers are millimetres. The corners of the workspace
+    in base are ``low`` and ``high`` (3,) [m]."""
     metres = position / 1000.0
     if looks_like_difference(metres) or (metres < low).any() or (metres > high).any():
         return ""
     return "looks like millimetres: send metres"
 
 
-def gripper_hint(opening: float) -> str:
-    """Return a clause, with its semicolon, about an opening outside [0, 1]."""
-    said = "; 1 is open and 0 is closed"
+def check_gripper(opening: float | None) -> float | None:
+    """Raises ActionError for an opening outside [0, 1]."""
+    if opening is None or 0 <= opening <= 1:
+        return opening
+    hint = "; 1 is open and 0 is closed"
     if -1 <= opening < 0:
-        return f"{said}: of a range from -1 to 1 send (1 + g) / 2, or (1 - g) / 2 where -1 means open"
-    return said
-
-
-# What an action space is: the fields that its actions may give, and their check.
-
-EVERY_SPACE = ("gripper", "done")
-"""Fields of an action that belong to no space."""
+        hint += ": of a range from -1 to 1 send (1 + g) / 2, or (1 - g) / 2 where -1 means open"
+    raise ActionError(f"gripper: expected an opening in [0, 1], got {opening}{hint}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,18 +105,18 @@ class ActionSpace:
     """The action in normal form; raises ActionError naming the field, what was expected and what was got."""
     clipped: Callable[[Action, Session], Action]
     """The action moved into the bounds; the same object where nothing is outside, or where ``checked`` refuses it."""
-    driver: str
-    """``module:Class`` of the ``episode.drivers.Driver`` that turns checked actions into commands."""
+    driver: str = ""
+    """``module:Class`` of the ``episode.drivers.Driver`` that turns checked actions into commands; empty for the spaces
+    of ``episode.drivers.DRIVERS``."""
 
     def check(self, action: Action, session: Session) -> Action:
         """Return the action in normal form. Raises ActionError naming the field, what was expected and what was got."""
-        for field in fields(Action):
-            if field.name in self.fields or field.name in EVERY_SPACE or getattr(action, field.name) is None:
-                continue
-            raise ActionError(
-                f"{field.name}: this field is not one of the card's action space; give {', '.join(self.fields)}, or "
-                "another action_space on the card"
-            )
+        for name in (field.name for field in fields(Action)):
+            if name not in (*self.fields, *EVERY_SPACE) and getattr(action, name) is not None:
+                raise ActionError(
+                    f"{name}: this field is not one of the card's action space; give {', '.join(self.fields)}, or "
+                    "another action_space on the card"
+                )
         return self.checked(action, session)
 
     def clip(self, action: Action, session: Session) -> Action:
@@ -134,10 +128,3 @@ class ActionSpace:
 ACTION_SPACES: Registry[ActionSpace] = Registry(
     "action space", row=ActionSpace, plural="action_spaces", scan="carecontact.interface.action_spaces"
 )
-
-
-def check_gripper(opening: float | None) -> float | None:
-    """Raises ActionError for an opening outside [0, 1]."""
-    if opening is not None and not 0 <= opening <= 1:
-        raise ActionError(f"gripper: expected an opening in [0, 1], got {opening}{gripper_hint(opening)}")
-    return opening

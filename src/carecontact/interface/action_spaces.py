@@ -19,13 +19,9 @@ from carecontact.interface.action import (
 )
 from carecontact.interface.robot import ActionBounds, Session
 
-# Cartesian poses of the tool: their bounds, and the check of each action that arrives from a policy.
-
 QUATERNION_NORM_TOLERANCE = 1e-2
 """Largest distance of a quaternion's norm from 1. Within it, the benchmark normalises the quaternion, because
 policies compute in single precision or interpolate; beyond it, the action is an error."""
-
-
 MAX_FEEDFORWARD_N, MAX_FEEDFORWARD_NM = 40.0, 5.0
 """Largest component of a feedforward force and torque (chosen). 40 N is the contact force at which DROID's Panda stops
 by default (collision_behavior in its config/panda/franka_hardware.yaml)."""
@@ -34,13 +30,8 @@ DAMPING_RATIO = (0.3, 2.0)
 
 
 def check_action(action: Action, bounds: ActionBounds) -> Action:
-    """Validate one action that arrives from a policy.
-
-    Returns:
-        The action with a unit quaternion and plain Python numbers.
-
-    Raises:
-        ActionError: names the field, what was expected and what was got.
+    """Check one action with a pose that arrives from a policy; return it with a unit quaternion and plain Python
+    numbers. Raises ActionError naming the field, what was expected and what was got.
     """
     return Action(
         pose_tcp_in_base=None if action.pose_tcp_in_base is None else _pose(action.pose_tcp_in_base, bounds),
@@ -53,18 +44,15 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
 
 
 def clip_action(action: Action, bounds: ActionBounds) -> Action:
-    """Move a finite target position outside the workspace onto its border.
-
-    Returns:
-        The same object if there is nothing to move, or if ``check_action`` will refuse the pose anyway.
+    """Move a finite target position outside the workspace onto its border; return the same object if there is nothing
+    to move, or if ``check_action`` will refuse the pose anyway.
     """
     pose = None if action.pose_tcp_in_base is None else np.asarray(action.pose_tcp_in_base)
     if pose is None or pose.shape != (7,) or pose.dtype.kind not in "fiu" or not np.isfinite(pose).all():
         return action
     inside = np.clip(pose[:3], bounds.workspace_low_m, bounds.workspace_high_m)
-    if (inside == pose[:3]).all():
-        return action
-    return replace(action, pose_tcp_in_base=np.concatenate([inside, pose[3:]]))
+    same = (inside == pose[:3]).all()
+    return action if same else replace(action, pose_tcp_in_base=np.concatenate([inside, pose[3:]]))
 
 
 def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.float64]:
@@ -77,34 +65,24 @@ def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[n
     pose = pose.astype(np.float64)
     if not np.isfinite(pose).all():
         raise ActionError(f"pose_tcp_in_base: expected finite numbers, got {pose.tolist()}")
-    _check_position(pose[:3], bounds)
+    position = [float(f"{x:.6g}") for x in pose[:3]]
+    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
+    difference = looks_like_difference(pose[:3])
+    if not ((pose[:3] >= low).all() and (pose[:3] <= high).all()):
+        workspace = f"{list(bounds.workspace_low_m)} to {list(bounds.workspace_high_m)} m in base"
+        if meant := difference or looks_like_millimetres(pose[:3], low, high):
+            raise ActionError(f"pose_tcp_in_base: the position {position} {meant}; the workspace is {workspace}")
+        raise ActionError(f"pose_tcp_in_base: expected a position inside the workspace {workspace}, got {position}")
     with np.errstate(over="ignore"):
         norm = float(np.linalg.norm(pose[3:]))
     if abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE:
-        meant = looks_like_difference(pose[:3])
-        raise ActionError(
-            f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}"
-            + (f"; the position {_shown(pose[:3])} {meant}" if meant else "")
-        )
+        hint = f"; the position {position} {difference}" if difference else ""
+        raise ActionError(f"pose_tcp_in_base: expected a quaternion of norm 1, got {norm:.4g}{hint}")
     pose[3:] /= norm
     # Again, because the first division may leave a norm that differs from 1 in the last digit. The second may too, so
     # that a pose must be checked once only: the last bits depend on how often.
     pose[3:] /= float(np.linalg.norm(pose[3:]))
     return pose
-
-
-def _check_position(position: npt.NDArray[np.float64], bounds: ActionBounds) -> None:
-    low, high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
-    if (position >= low).all() and (position <= high).all():
-        return
-    workspace = f"{list(bounds.workspace_low_m)} to {list(bounds.workspace_high_m)} m in base"
-    if meant := looks_like_difference(position) or looks_like_millimetres(position, low, high):
-        raise ActionError(f"pose_tcp_in_base: the position {_shown(position)} {meant}; the workspace is {workspace}")
-    raise ActionError(f"pose_tcp_in_base: expected a position inside the workspace {workspace}, got {_shown(position)}")
-
-
-def _shown(position: npt.NDArray[np.float64]) -> list[float]:
-    return [float(f"{x:.6g}") for x in position]
 
 
 def allowed_stiffness(values: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.bool_]:
@@ -124,13 +102,12 @@ def _stiffness(given: tuple[float, ...], bounds: ActionBounds) -> tuple[float, .
         )
     allowed = allowed_stiffness(np.array(given, np.float64), bounds)
     if not allowed.all():
-        axis, six = int(np.flatnonzero(~allowed)[0]), len(given) == 6
-        turns = axis >= len(given) // 2
-        low, high = bounds.rotational_stiffness if turns else bounds.translational_stiffness
-        raise ActionError(
-            f"stiffness: expected {low:g} to {high:g} {'N m/rad' if turns else 'N/m'}"
-            f"{', or 0 on an axis with a feedforward' if six else ''}, got {given[axis]}"
-        )
+        axis = int(np.flatnonzero(~allowed)[0])
+        (low, high), unit = bounds.translational_stiffness, "N/m"
+        if axis >= len(given) // 2:
+            (low, high), unit = bounds.rotational_stiffness, "N m/rad"
+        zero = ", or 0 on an axis with a feedforward" if len(given) == 6 else ""
+        raise ActionError(f"stiffness: expected {low:g} to {high:g} {unit}{zero}, got {given[axis]}")
     return tuple(float(value) for value in given)
 
 
@@ -167,20 +144,13 @@ ACTION_SPACES.register(
         in_joints=False,
         checked=lambda action, session: check_action(action, session.action_bounds),
         clipped=lambda action, session: clip_action(action, session.action_bounds),
-        driver="carecontact.episode.drivers:CartesianPose",
     ),
 )
 
 
-# Absolute targets of the joints.
-
-
 def joints_of(action: Action, session: Session, unit: str) -> npt.NDArray[np.float64]:
-    """Return the numbers (joints,) of an action that gives ``joint``. Raises ActionError for another shape or type, or
-    a NaN.
-
-    Args:
-        unit: of the numbers, for the message.
+    """Return the numbers (joints,) of an action that gives ``joint``. Raises ActionError, which names the ``unit``, for
+    another shape or type, or a NaN.
     """
     joint, count = np.asarray(action.joint), len(session.joint_low_rad)
     if joint.shape != (count,) or joint.dtype.kind not in "fiu":
@@ -199,7 +169,7 @@ def _check(action: Action, session: Session) -> Action:
     low, high = np.array(session.joint_low_rad), np.array(session.joint_high_rad)
     outside = np.flatnonzero((joint < low) | (joint > high))
     if len(outside):
-        first = int(outside[0])
+        first = outside[0]
         degrees = "; the numbers look like degrees" if np.abs(joint).max() > 2 * np.pi else ""
         raise ActionError(
             f"joint: expected {low[first]:g} to {high[first]:g} rad for joint {first + 1}, "
@@ -225,12 +195,8 @@ ACTION_SPACES.register(
         in_joints=True,
         checked=_check,
         clipped=_clip,
-        driver="carecontact.episode.drivers:JointPosition",
     ),
 )
-
-
-# Normalised joint velocities as DROID's robots execute them.
 
 
 def _check_velocity(action: Action, session: Session) -> Action:
@@ -249,6 +215,5 @@ ACTION_SPACES.register(
         in_joints=True,
         checked=_check_velocity,
         clipped=lambda action, session: action,
-        driver="carecontact.episode.drivers:DroidJointVelocity",
     ),
 )

@@ -1,4 +1,9 @@
-"""Finds the parts of the body in a camera's view, for the shipped policies and for the measurement of perception."""
+"""Finds where a body region is from one observation, for the shipped policies and for the measurement of perception.
+
+Key points give its joints, and the point cloud gives its surface. The joints lie a little under the surface that the
+camera sees. The line between them is moved onto the middle of the visible limb, and the top surface above that line is
+read from the person's points.
+"""
 
 from __future__ import annotations
 
@@ -11,23 +16,12 @@ from carecontact.errors import ContractError
 from carecontact.interface.observation import CameraView, Observation
 from carecontact.interface.regions import REGIONS, LimbSight, TrunkSight
 
-# The person in one camera's view: centres of joints from key points, and points of the surface from a mask.
-
 F64 = npt.NDArray[np.float64]
 
 LANDMARK = {
-    "left shoulder": 11,
-    "right shoulder": 12,
-    "left elbow": 13,
-    "right elbow": 14,
-    "left wrist": 15,
-    "right wrist": 16,
-    "left hip": 23,
-    "right hip": 24,
-    "left knee": 25,
-    "right knee": 26,
-    "left ankle": 27,
-    "right ankle": 28,
+    f"{side} {joint}": first + offset
+    for joint, first in {"shoulder": 11, "elbow": 13, "wrist": 15, "hip": 23, "knee": 25, "ankle": 27}.items()
+    for offset, side in enumerate(("left", "right"))
 }
 """Index of each key point in the order of MediaPipe Pose."""
 JOINT_DEPTH_M = {"shoulder": 0.045, "elbow": 0.040, "wrist": 0.025, "hip": 0.090, "knee": 0.065, "ankle": 0.050}
@@ -36,6 +30,25 @@ knee's is that of the shipped bodies from the front, 63 to 83 mm; the ankle's is
 heel. No shipped region uses these two."""
 MIN_VISIBILITY = 0.5
 """Key points that the estimator rates lower count as hidden."""
+LIMB_LENGTH_M = (0.15, 0.40)
+LEG_LENGTH_M = (0.15, 0.60)  # a thigh or a shank
+TRUNK_LENGTH_M = (0.30, 0.70)
+"""Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
+MIN_COLUMN_POINTS = 5
+COLUMN_RADIUS_M = 0.012
+SEARCH_HALF_WIDTH_M, TRUNK_SEARCH_M = 0.07, 0.25
+"""Half widths of the strips round a limb's line, and round the trunk's, in which the outline is looked for."""
+MAX_SHIFT_M = 0.04
+PROFILE = np.linspace(0.1, 0.9, 17)
+"""Fractions of the region's length at which the top surface is read."""
+MIN_PROFILE = 9
+HAND_REACH_M, HAND_OVER_TIP_M, HALF_SCRUB_M = 0.12, 0.035, 0.025
+"""From the tool to the corners of the robot's hand, which touched the chests of heavy bodies there; height of its
+underside over the tip; half of what a scrub has to cover."""
+MIN_REGION_M = 0.10
+"""Least length of a limb's region where the chest leaves little room: a scrub fits into it."""
+CROWDED = np.linspace(0.95, 0.2, 39)
+"""Places along a limb at which the chest is looked for, from the next joint to the trunk."""
 
 
 class PerceptionFailure(ContractError):
@@ -59,8 +72,8 @@ def points_of(view: CameraView, name: str) -> F64:
 def joint_centre(view: CameraView, name: str) -> F64:
     """Return a joint's (3,) centre in base [m]: the surface under the key point, moved on along the line of sight.
 
-    Raises:
-        PerceptionFailure: no key point has this name, nobody was found, or the key point is hidden or has no depth.
+    Raises PerceptionFailure if no key point has this name, no person was found, or the key point is hidden or has no
+    depth.
     """
     assert view.landmarks is not None
     if name not in LANDMARK:
@@ -76,32 +89,6 @@ def joint_centre(view: CameraView, name: str) -> F64:
         raise PerceptionFailure(f"{name} has no depth")
     sight = surface - view.pose_camera_in_base[:3, 3]
     return surface + JOINT_DEPTH_M[name.split()[1]] * sight / np.linalg.norm(sight)
-
-
-# Finds where a body region is from one observation: key points give its joints, and the point cloud gives its surface.
-#
-# The joints lie a little under the surface that the camera sees. The line between them is moved onto the middle of the
-# visible limb, and the top surface above that line is read from the person's points.
-
-LIMB_LENGTH_M = (0.15, 0.40)
-LEG_LENGTH_M = (0.15, 0.60)  # a thigh or a shank
-TRUNK_LENGTH_M = (0.30, 0.70)
-"""Lengths from small children to very tall adults; a skeleton outside them is not a person's."""
-MIN_COLUMN_POINTS = 5
-COLUMN_RADIUS_M = 0.012
-SEARCH_HALF_WIDTH_M, TRUNK_SEARCH_M = 0.07, 0.25
-"""Half widths of the strips round a limb's line, and round the trunk's, in which the outline is looked for."""
-MAX_SHIFT_M = 0.04
-PROFILE = np.linspace(0.1, 0.9, 17)
-"""Fractions of the region's length at which the top surface is read."""
-MIN_PROFILE = 9
-HAND_REACH_M, HAND_OVER_TIP_M, HALF_SCRUB_M = 0.12, 0.035, 0.025
-"""From the tool to the corners of the robot's hand, which touched the chests of heavy bodies there; height of its
-underside over the tip; half of what a scrub has to cover."""
-MIN_REGION_M = 0.10
-"""Least length of a limb's region where the chest leaves little room: a scrub fits into it."""
-CROWDED = np.linspace(0.95, 0.2, 39)
-"""Places along a limb at which the chest is looked for, from the next joint to the trunk."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,9 +132,8 @@ def region_from_observation(
         side: ``right`` or ``left``, the person's own; it makes no difference for the abdomen.
         camera: name of the camera.
 
-    Raises:
-        PerceptionFailure: a modality is missing, key points are hidden or cannot be a person's, or the surface has too
-            few points.
+    Raises PerceptionFailure if a modality is missing, key points are hidden or cannot be a person's, or the surface has
+    too few points.
     """
     view = observation.cameras.get(camera)
     if view is None or view.landmarks is None or view.masks is None or view.points is None or view.depth is None:
@@ -155,37 +141,25 @@ def region_from_observation(
     person = person_points(view)
     match REGIONS[region].sight:
         case TrunkSight() as sight:
-            start, end = _trunk_line(view, sight)
-            search = TRUNK_SEARCH_M
+            lower, upper = (
+                (joint_centre(view, f"left {joint}") + joint_centre(view, f"right {joint}")) / 2
+                for joint in sight.joints
+            )
+            trunk = _checked_length(upper - lower, TRUNK_LENGTH_M, "trunk")
+            lower, upper = _at_centres(sight, lower, upper)
+            middle = lower + sight.middle * (upper - lower)
+            half = 0.5 * sight.length * trunk
+            along = (upper - lower) / trunk
+            start, end, search = middle - half * along, middle + half * along, TRUNK_SEARCH_M
         case LimbSight() as sight:
-            start, end = _limb_line(view, sight, side, region, person)
-            search = SEARCH_HALF_WIDTH_M
+            start, end = (joint_centre(view, f"{side} {joint}") for joint in sight.joints)
+            limits = LEG_LENGTH_M if "knee" in sight.joints else LIMB_LENGTH_M
+            _checked_length(end - start, limits, f"{side} {region.replace('_', ' ')}")
+            start, end = _at_centres(sight, start, end)
+            start, search = start + free_from(sight, person, start, end) * (end - start), SEARCH_HALF_WIDTH_M
         case None:
             raise PerceptionFailure(f"no joints are known between which the {region.replace('_', ' ')} lies")
     return _fit(region, person, points_of(view, "bed"), start, end, search)
-
-
-def _trunk_line(view: CameraView, sight: TrunkSight) -> tuple[F64, F64]:
-    """(3,) and (3,) ends of a region's line along the trunk, nearer the feet first."""
-    lower, upper = sight.joints
-    first = (joint_centre(view, f"left {lower}") + joint_centre(view, f"right {lower}")) / 2
-    second = (joint_centre(view, f"left {upper}") + joint_centre(view, f"right {upper}")) / 2
-    trunk = _checked_length(second - first, TRUNK_LENGTH_M, "trunk")
-    first, second = _at_centres(sight, first, second)
-    middle = first + sight.middle * (second - first)
-    half = 0.5 * sight.length * trunk
-    along = (second - first) / trunk
-    return middle - half * along, middle + half * along
-
-
-def _limb_line(view: CameraView, sight: LimbSight, side: str, region: str, person: F64) -> tuple[F64, F64]:
-    """(3,) and (3,) ends of a region's line along a limb, nearer the trunk first."""
-    first, second = sight.joints
-    start, end = joint_centre(view, f"{side} {first}"), joint_centre(view, f"{side} {second}")
-    limits = LEG_LENGTH_M if "knee" in sight.joints else LIMB_LENGTH_M
-    _checked_length(end - start, limits, f"{side} {region.replace('_', ' ')}")
-    start, end = _at_centres(sight, start, end)
-    return start + free_from(sight, person, start, end) * (end - start), end
 
 
 def free_from(sight: LimbSight, person: F64, start: F64, end: F64) -> float:

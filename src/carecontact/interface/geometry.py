@@ -1,4 +1,4 @@
-"""Rotations, quaternions and rays, with numpy alone."""
+"""Rotations, quaternions (wxyz), projections and rays, with numpy alone."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import SceneError
-
-# Rotations and projections at the interface between policy and benchmark; quaternions are wxyz.
 
 Array = npt.NDArray[np.float64]
 
@@ -54,9 +52,6 @@ def pose_matrix(position: Array, quat_wxyz: Array) -> Array:
     out[:3, :3] = matrix_from_quat(quat_wxyz)
     out[:3, 3] = position
     return out
-
-
-# Computes where rays meet the triangles of a surface.
 
 
 class Triangles:

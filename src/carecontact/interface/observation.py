@@ -38,7 +38,7 @@ class CameraView:
     masks: dict[str, Bool] | None = None
     """MASK_NAMES -> (H, W)"""
     landmarks: F32 | None = None
-    """(33, 3): u [px], v [px], visibility in [0, 1]; MediaPipe Pose order. All NaN: nobody found."""
+    """(33, 3): u [px], v [px], visibility in [0, 1]; MediaPipe Pose order. All NaN: no person found."""
     landmarks_in_base: F32 | None = None
     """(33, 3) surface point under each landmark in base [m], NaN where depth does not allow one."""
 

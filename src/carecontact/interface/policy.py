@@ -12,14 +12,33 @@ from carecontact.interface.action import ACTION_SPACES, MAX_CHUNK, Action
 from carecontact.interface.observation import MODALITIES, Observation
 from carecontact.interface.robot import CARTESIAN_IMPEDANCE, CONTROLS
 
-# The interface of a policy: its card and its two methods.
-
 CAMERAS = ("overhead", "bedside", "exterior", "wrist")
 OUT_OF_BOUNDS = ("error", "clip")
 MAX_NAME = 200
 """Characters of a card's name and language backend: they stand in headers, tables and file names."""
 MAX_ARGUMENTS, MAX_ARGUMENT = 64, 2000
 """Number of arguments or variables of a policy, and characters of one value: they stand in every recording."""
+
+IMPORTABLE, REMOTE = "module:Class", "ws://HOST:PORT"
+"""How an imported policy and one on the native wire are written."""
+Scheme = Literal["ws", "openpi", "roboarena", "vla-eval"]
+SCHEMES: tuple[str, ...] = get_args(Scheme)
+"""``ws`` is the native wire; the others are dialects (docs/dialects.md)."""
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "ws": (),
+    "openpi": ("profile", "horizon", "exterior"),
+    "roboarena": ("exterior",),
+    "vla-eval": ("space",),
+}
+"""Scheme -> what may stand behind the question mark."""
+API_KEY = "CARECONTACT_API_KEY"
+"""Variable that holds the key of a dialect's server, if it wants one."""
+EXPECTED = {
+    "ws": f"{REMOTE}, for example ws://192.0.2.7:8765",
+    "openpi": "openpi://HOST:PORT[/PATH]?profile=NAME, for example openpi://192.0.2.7:8000?profile=pi05-droid",
+    "roboarena": "roboarena://HOST:PORT[/PATH], for example roboarena://192.0.2.7:8000",
+    "vla-eval": "vla-eval://HOST:PORT[?space=NAME], for example vla-eval://192.0.2.7:8000?space=joint_position",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +83,11 @@ class PolicyCard:
         if self.out_of_bounds not in OUT_OF_BOUNDS:
             _wrong("out_of_bounds", f"one of {', '.join(OUT_OF_BOUNDS)}", self.out_of_bounds)
         for kind, valid in (("modalities", MODALITIES), ("cameras", CAMERAS)):
-            names = given[kind]
-            expected = f"a tuple of names out of {', '.join(valid)}"
+            names, expected = given[kind], f"a tuple of names out of {', '.join(valid)}"
             if not isinstance(names, tuple | list):
                 _wrong(kind, expected, names)
-            for name in cast(Sequence[object], names):
-                if name not in valid:
-                    _wrong(kind, expected, name)
+            if unknown := [name for name in cast(Sequence[object], names) if name not in valid]:
+                _wrong(kind, expected, unknown[0])
         check_arguments(given["arguments"])
         check_variables(given["environment"])
         rate = given["control_hz"]
@@ -144,30 +161,6 @@ class Policy(Protocol):
     def act(self, observation: Observation) -> Action | Sequence[Action]: ...
 
 
-# A reference to a policy, as the user writes it: a registered name, ``module:Class`` or the address of a server.
-
-IMPORTABLE, REMOTE = "module:Class", "ws://HOST:PORT"
-"""How an imported policy and one on the native wire are written."""
-Scheme = Literal["ws", "openpi", "roboarena", "vla-eval"]
-SCHEMES: tuple[str, ...] = get_args(Scheme)
-"""``ws`` is the native wire; the others are dialects (docs/dialects.md)."""
-OPTIONS: dict[str, tuple[str, ...]] = {
-    "ws": (),
-    "openpi": ("profile", "horizon", "exterior"),
-    "roboarena": ("exterior",),
-    "vla-eval": ("space",),
-}
-"""Scheme -> what may stand behind the question mark."""
-API_KEY = "CARECONTACT_API_KEY"
-"""Variable that holds the key of a dialect's server, if it wants one."""
-EXPECTED = {
-    "ws": f"{REMOTE}, for example ws://192.0.2.7:8765",
-    "openpi": "openpi://HOST:PORT[/PATH]?profile=NAME, for example openpi://192.0.2.7:8000?profile=pi05-droid",
-    "roboarena": "roboarena://HOST:PORT[/PATH], for example roboarena://192.0.2.7:8000",
-    "vla-eval": "vla-eval://HOST:PORT[?space=NAME], for example vla-eval://192.0.2.7:8000?space=joint_position",
-}
-
-
 @dataclass(frozen=True, kw_only=True)
 class PolicyRef:
     """A reference to a policy. Parse a text once with ``parse`` and pass the reference on."""
@@ -212,54 +205,64 @@ class PolicyRef:
     def _address(cls, text: str) -> Self:
         given = text.partition("://")[0]
         shown = f"{given}://{text.rpartition('@')[2].removeprefix(f'{given}://')}"
+
+        def wrong(why: str) -> ConfigError:
+            return ConfigError(f"policy {shown!r}: {why}")
+
         scheme = next((name for name in get_args(Scheme) if name == given), None)
+        if given == "wss":
+            raise wrong(f"expected {EXPECTED['ws']}; for an encrypted connection, use a tunnel such as ssh -L")
         if scheme is None:
-            tunnel = "; for an encrypted connection, use a tunnel such as ssh -L" if given == "wss" else ""
             others = f"; other schemes: {', '.join(SCHEMES[1:])}{did_you_mean(given, SCHEMES)}"
-            raise ConfigError(f"policy {shown!r}: expected {EXPECTED['ws']}{others if given != 'wss' else tunnel}")
-        expected = f"expected {EXPECTED[scheme]}"
+            raise wrong(f"expected {EXPECTED['ws']}{others}")
         try:
             parts = urlsplit(text)
             host, port = parts.hostname, parts.port
             pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
         except ValueError as error:
-            raise ConfigError(f"policy {shown!r}: {expected}: {error}") from None
-        native = scheme == "ws" and (parts.path not in ("", "/") or parts.query)
-        if not host or not port or parts.fragment or native:
-            raise ConfigError(f"policy {shown!r}: {expected}")
+            raise wrong(f"expected {EXPECTED[scheme]}: {error}") from None
+        more = scheme == "ws" and (parts.path not in ("", "/") or parts.query)
+        if not host or not port or parts.fragment or more:
+            raise wrong(f"expected {EXPECTED[scheme]}")
         credentials = ""
         if parts.username is not None:
             if scheme != "ws":
-                raise ConfigError(f"policy {shown!r}: a key never stands in the address; put it into {API_KEY}")
+                raise wrong(f"a key never stands in the address; put it into {API_KEY}")
             if not parts.username or parts.password is None:
-                raise ConfigError(f"policy {shown!r}: expected USER:PASSWORD before the @")
+                raise wrong("expected USER:PASSWORD before the @")
             credentials = f"{unquote(parts.username)}:{unquote(parts.password)}"
-        options = _options(shown, scheme, pairs)
-        path = parts.path or "/"
+        try:
+            options = _options(scheme, pairs)
+        except ConfigError as error:
+            raise wrong(str(error)) from None
+        path = "" if parts.path == "/" else parts.path
         place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         query = f"?{urlencode(options)}" if options else ""
         return cls(
-            kind="remote", text=f"{scheme}://{place}{'' if path == '/' else path}{query}", scheme=scheme, host=host,
-            port=port, path=path, options=options, credentials=credentials,
-        )  # fmt: skip
+            kind="remote",
+            text=f"{scheme}://{place}{path}{query}",
+            scheme=scheme,
+            host=host,
+            port=port,
+            path=path or "/",
+            options=options,
+            credentials=credentials,
+        )
 
 
-def _options(shown: str, scheme: str, pairs: list[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
+def _options(scheme: str, pairs: list[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
     """Return the options in the order of OPTIONS, so that one request has one text."""
     valid = OPTIONS[scheme]
     for name, value in pairs:
         if name not in valid:
-            known = ", ".join(valid)
-            raise ConfigError(f"policy {shown!r}: no option named {name!r}{did_you_mean(name, valid)}; valid: {known}")
+            raise ConfigError(f"no option named {name!r}{did_you_mean(name, valid)}; valid: {', '.join(valid)}")
         if name == "exterior" and value not in ("0", "1"):
-            raise ConfigError(
-                f"policy {shown!r}: exterior: expected 0 or 1, the number of the first camera, got {value!r}"
-            )
+            raise ConfigError(f"exterior: expected 0 or 1, the number of the first camera, got {value!r}")
         if name == "horizon" and not (value.isascii() and value.isdigit() and 1 <= int(value[:9]) <= MAX_CHUNK):
-            raise ConfigError(f"policy {shown!r}: horizon: expected 1 to {MAX_CHUNK} actions, got {value!r}")
+            raise ConfigError(f"horizon: expected 1 to {MAX_CHUNK} actions, got {value!r}")
         if not value:
-            raise ConfigError(f"policy {shown!r}: {name}: expected a value, got none")
+            raise ConfigError(f"{name}: expected a value, got none")
     chosen = dict(pairs)
     if len(chosen) != len(pairs):
-        raise ConfigError(f"policy {shown!r}: expected each option once")
+        raise ConfigError("expected each option once")
     return tuple((name, chosen[name]) for name in valid if name in chosen)

@@ -9,18 +9,13 @@ from typing import Literal
 from carecontact.errors import ConfigError
 from carecontact.registry import Registry
 
-# The parts of the body that a region can name: segments and joints.
-
-SEGMENTS = (
-    "pelvis", "abdomen", "thorax", "neck", "head",
-    *(f"{side}_{name}" for side in ("right", "left")
-      for name in ("upper_arm", "forearm", "hand", "thigh", "shank", "foot")),
-)  # fmt: skip
-"""Segments of the body, in the order of a recording; forces are counted per segment."""
-
 LIMB_PARTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shank", "foot")
 """Parts of the surface that the body has on either side."""
-
+SEGMENTS = (
+    *("pelvis", "abdomen", "thorax", "neck", "head"),
+    *(f"{side}_{name}" for side in ("right", "left") for name in LIMB_PARTS[1:]),
+)
+"""Segments of the body, in the order of a recording; forces are counted per segment."""
 JOINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 """Joints, without their side, whose centres are known and whose key points a pose estimator marks."""
 
@@ -42,9 +37,6 @@ def check_pair(what: str, names: tuple[str, ...], valid: tuple[str, ...]) -> Non
         raise ConfigError(f"{what}: expected two different names, got {', '.join(names)}; valid: {', '.join(valid)}")
 
 
-# What is known of a region before any person is there, and the registry of all regions.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Tube:
     """Shape of a soft region on a limb: a shell round it, open below."""
@@ -59,7 +51,7 @@ class Tube:
     """Place where the nearer rigid end begins, as a share of the same line; negative: before the joint."""
     beside_trunk: bool = False
     """Whether the trunk can be in the way of a hand that comes from above. On bodies where it is, the region lies
-    nearer the next joint (``world.human.clearance``)."""
+    nearer the next joint (``human.pose.free_middle``)."""
     held_out_m: tuple[tuple[float, float], ...] = ()
     """Places (along, across) of the region's frame where validation compares the tissue with published curves [m];
     each is at least 8 mm from those of tools/fit_tissue.py."""
@@ -72,47 +64,44 @@ class Tube:
 @dataclass(frozen=True, kw_only=True)
 class Belly:
     """Shape of the soft region on the front of the trunk: a patch from the pelvis to the lower ribs, sized by the body
-    (``world.human.shell.trunk_shell``)."""
+    (``human.shell.trunk_shell``)."""
 
     held_out_m: tuple[tuple[float, float], ...] = ()
     """As in ``Tube``."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimbSight:
-    """How a policy finds a region of a limb in an image: between two joints of one side."""
-
+class _Sight:
     joints: tuple[str, str]
-    """Names of the joints without their side, the one nearer the trunk first."""
+    """Names of two joints without their side, on a limb the one nearer the trunk first, on the trunk the one nearer
+    the feet."""
     ahead: tuple[float, float] = (0.0, 0.0)
     """The pose estimator marks joints short of their centres, or beyond: what is added to the first and the second
     joint, as shares of the line between them. Means over rendered persons from above (seeds below 1000); a property of
     the estimator and not of anatomy."""
+
+    def __post_init__(self) -> None:
+        """Raises ConfigError for ``joints`` that are not two of JOINTS."""
+        check_pair(f"{type(self).__name__}.joints", self.joints, JOINTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimbSight(_Sight):
+    """How a policy finds a region of a limb in an image: between two joints of one side."""
+
     free_from: float = 0.0
     """Share of the line before which limb and trunk are one. Where it is above 0, the shipped policies also keep clear
     of a chest that stands higher than the limb."""
 
-    def __post_init__(self) -> None:
-        """Raises ConfigError for ``joints`` that are not two of JOINTS."""
-        check_pair("LimbSight.joints", self.joints, JOINTS)
-
 
 @dataclass(frozen=True, kw_only=True)
-class TrunkSight:
+class TrunkSight(_Sight):
     """How a policy finds a region of the trunk in an image: between the middles of two pairs of joints."""
 
-    joints: tuple[str, str]
-    """Names of the joints without their side, the one nearer the feet first."""
-    ahead: tuple[float, float] = (0.0, 0.0)
-    """As in ``LimbSight``."""
     middle: float
     """Middle of the region as a share of the line between the two pairs."""
     length: float
     """Length of the region, as a share of that line's length."""
-
-    def __post_init__(self) -> None:
-        """Raises ConfigError for ``joints`` that are not two of JOINTS."""
-        check_pair("TrunkSight.joints", self.joints, JOINTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,8 +181,7 @@ def all_regions() -> tuple[str, ...]:
     return (*STANDARD_REGIONS, *(name for name in REGIONS if name not in STANDARD_REGIONS))
 
 
-# The abdomen, from the pelvis to the lower ribs.
-
+# From the pelvis to the lower ribs.
 REGIONS.register(
     "abdomen",
     Region(
@@ -208,8 +196,7 @@ REGIONS.register(
 )
 
 
-# The right forearm, from the elbow to the wrist.
-
+# From the elbow to the wrist.
 REGIONS.register(
     "forearm",
     Region(
@@ -228,8 +215,7 @@ REGIONS.register(
 )
 
 
-# The right upper arm, from under the armpit to the elbow.
-
+# From under the armpit to the elbow.
 REGIONS.register(
     "upper_arm",
     Region(

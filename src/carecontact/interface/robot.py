@@ -1,5 +1,5 @@
-"""The robot as policies and protocols know it: its arm and hand, the controllers that may execute actions, and what a
-policy is told of them at reset."""
+"""The robot as policies and protocols know it: its arm and hand, the controllers that may execute actions, and the
+session, which a policy receives before its first observation."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from typing import ClassVar
 
 from carecontact.errors import ConfigError
 from carecontact.registry import Registry
-
-# What a robot is to everything else: its names, limits, tool and model; the registry and what is shipped.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +60,7 @@ class Mjcf:
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Dimensions by which a place of the base is refused before any posture is computed (``episode.parking.grounds``).
+    """Dimensions by which a place of the base is refused before any posture is computed (``episode.base_placement``).
     They hold for a tool that points down."""
 
     shoulder_height_m: float
@@ -256,9 +254,6 @@ CONTROLS.register(
         ),
     ),
 )
-
-
-# The information that a policy receives before its first observation.
 
 
 @dataclass(frozen=True, kw_only=True)

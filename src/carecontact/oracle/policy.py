@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,8 +23,6 @@ from carecontact.policies.registry import is_privileged
 from carecontact.policies.state_machine import PlanningFailure, push, reachable, scrub, touch, travel_height
 from carecontact.protocol.gates import Task
 from carecontact.sim.simulation import Simulation
-
-# How the oracle touches and scrubs: on the state machine's path, which moves with the skin, at a chosen force.
 
 F64 = npt.NDArray[np.float64]
 
@@ -54,8 +52,6 @@ FIRST_IN_CONTACT = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One control period of a plan."""
-
     pose: F64
     """(7,) target pose in the robot's base, for where the person lay at the time of planning."""
     presses: bool
@@ -66,7 +62,7 @@ def stages(legs: Sequence[Leg], start_pose: F64) -> list[Stage]:
     out: list[Stage] = []
     at = start_pose
     for number, leg in enumerate(legs):
-        poses = list(sample([leg], at, control_hz=CONTROL_HZ))
+        poses = list(sample([leg], at))
         held = len(poses) - round(leg.hold_s * CONTROL_HZ)
         along = FIRST_IN_CONTACT < number < len(legs) - 2
         out += [
@@ -77,52 +73,59 @@ def stages(legs: Sequence[Leg], start_pose: F64) -> list[Stage]:
     return out
 
 
-class Press:
-    """Gives one target for each control period; ``ended`` is true after the last one."""
+class _Motion:
+    """Gives one target for each control period."""
+
+    ended = False
+    """Whether the last target was given."""
+
+    def __init__(self, truth: Truth, targets: Iterator[F64]) -> None:
+        self._truth, self._follower, self._targets = truth, Follower(truth), targets
+
+    def act(self) -> Action:
+        """Return the target for the next control period."""
+        return Action(pose_tcp_in_base=next(self._targets))
+
+
+class Press(_Motion):
+    """A touch or a scrub on the state machine's path, which moves with the skin, at a chosen force."""
 
     def __init__(self, truth: Truth, plan: Sequence[Stage], *, rests: bool) -> None:
         """``rests``: whether the tool stays where it came down until the force has been steady."""
-        self._truth, self._plan, self._follower = truth, plan, Follower(truth)
-        self._rests_until = max(k for k, stage in enumerate(plan) if stage.presses) if rests else -1
-        self._at, self._depth_m, self._waited = 0, 0.0, 0
-        self._steady = self._longest = 0
-        self._lead_m = np.zeros(3)
+        super().__init__(truth, self._run(plan, rests))
+        self._waited = 0
 
     @property
     def succeeded(self) -> bool:
         """Whether all waits for the skin together stayed below PATIENCE_S."""
         return self._waited < PATIENCE_S * CONTROL_HZ
 
-    @property
-    def ended(self) -> bool:
-        return self._at >= len(self._plan)
+    def _run(self, plan: Sequence[Stage], rests: bool) -> Iterator[F64]:
+        depth_m, steady, longest, lead_m = 0.0, 0, 0, np.zeros(3)
+        rests_until = max(k for k, stage in enumerate(plan) if stage.presses) if rests else -1
+        at = 0
+        while at < len(plan):
+            stage, force = plan[at], self._truth.force_n()
+            place = self._follower.follow(stage.pose[:3])
+            waits = False
+            if stage.presses:
+                depth_m = float(np.clip(depth_m + GAIN_M_NS * (FORCE_N - force) / CONTROL_HZ, 0.0, DEEPEST_M))
+                lead_m = lead_m + SMOOTHING * (self._friction_m() - lead_m)
+                place = place - depth_m * UP + lead_m
+                steady = steady + 1 if LEAST_N <= force <= MOST_PRESS_N else 0
+                longest = max(longest, steady)
+                unsteady = at == rests_until and longest < STEADY_S * CONTROL_HZ
+                waits = (force < LEAST_N or unsteady) and self._waited < PATIENCE_S * CONTROL_HZ
+            self._waited += waits
+            at += not waits
+            self.ended = at == len(plan)
+            yield np.concatenate([place, stage.pose[3:]])
 
-    def act(self) -> Action:
-        """Return the target for the next control period."""
-        stage, force = self._plan[self._at], self._truth.force_n()
-        place = self._follower.follow(stage.pose[:3])
-        waits = False
-        if stage.presses:
-            change = GAIN_M_NS * (FORCE_N - force) / CONTROL_HZ
-            self._depth_m = float(np.clip(self._depth_m + change, 0.0, DEEPEST_M))
-            place = place - self._depth_m * UP + self._ahead()
-            self._steady = self._steady + 1 if LEAST_N <= force <= MOST_PRESS_N else 0
-            self._longest = max(self._longest, self._steady)
-            rests = self._at == self._rests_until and self._longest < STEADY_S * CONTROL_HZ
-            waits = (force < LEAST_N or rests) and self._waited < PATIENCE_S * CONTROL_HZ
-        self._waited += waits
-        self._at += not waits
-        return Action(pose_tcp_in_base=np.concatenate([place, stage.pose[3:]]))
-
-    def _ahead(self) -> F64:
+    def _friction_m(self) -> F64:
         """Return the horizontal vector (3,) [m] by which friction holds the tool back from its target."""
-        wanted = self._truth.force() * [1, 1, 0] / self._truth.simulation.protocol.impedance.translational_n_m
-        wanted *= min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(wanted)), 1e-9))
-        self._lead_m += SMOOTHING * (wanted - self._lead_m)
-        return self._lead_m
+        lag = self._truth.force() * [1, 1, 0] / self._truth.simulation.protocol.impedance.translational_n_m
+        return lag * min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(lag)), 1e-9))
 
-
-# How the oracle pushes: it brings the tool beside the limb, then pushes until the wrist has moved.
 
 SPEED_M_S = 0.06
 BACK_M_S = FREE_SPEED_M_S
@@ -146,65 +149,43 @@ PUSHES = 4
 """Index of the leg that pushes."""
 
 
-class Push:
-    """Gives one target for each control period; ``ended`` is true after the last one."""
+class Push(_Motion):
+    """Brings the tool beside the limb, then pushes until the wrist has moved."""
 
     def __init__(self, truth: Truth, legs: Sequence[Leg], start_pose: F64) -> None:
         """``legs``: all legs of a push that ends where the tool just touches the limb."""
-        self._truth, self._follower = truth, Follower(truth)
-        low, touching = legs[PUSHES - 1].points[-1], legs[PUSHES].points[-1]
-        self._way = (touching - low) / np.linalg.norm(touching - low)
-        self._quat = legs[PUSHES].quat_wxyz
-        self._ahead = list(sample(legs[:PUSHES], start_pose, control_hz=CONTROL_HZ))
-        at = np.concatenate([low, self._quat])
-        self._after = list(sample(legs[PUSHES + 1 :], at, control_hz=CONTROL_HZ))
-        self._low = low
-        self._from: F64 | None = None
-        """Place where the push began; None before it."""
-        self._on_m, self._held, self._wrist, self._went_too_far = 0.0, 0, None, False
+        super().__init__(truth, self._run(legs, start_pose))
+        self._held = 0
 
     @property
     def succeeded(self) -> bool:
         """Whether the push kept its force for long enough; if not, the limb moved where the tool did not follow."""
         return self._held >= HOLD_S * CONTROL_HZ
 
-    @property
-    def ended(self) -> bool:
-        return not self._ahead and not self._after
+    def _run(self, legs: Sequence[Leg], start_pose: F64) -> Iterator[F64]:
+        low, touching, quat = legs[PUSHES - 1].points[-1], legs[PUSHES].points[-1], legs[PUSHES].quat_wxyz
+        way = (touching - low) / np.linalg.norm(touching - low)
+        for pose in sample(legs[:PUSHES], start_pose):
+            yield np.concatenate([self._follower.follow(pose[:3]), pose[3:]])
+        # From here on the limb moves because it is pushed: the target no longer follows it.
+        origin, on_m, moved_m, wrist_before = self._follower.follow(low), 0.0, 0.0, None
+        while not self.succeeded and on_m < FARTHEST_M and moved_m <= MOST_WRIST_M:
+            force, wrist = self._truth.force_n(), self._truth.wrist()
+            if wrist_before is None and force > TOUCHES_N:
+                wrist_before = wrist
+            moved_m = 0.0 if wrist_before is None else float(np.linalg.norm((wrist - wrist_before)[:2]))
+            enough = moved_m >= WRIST_M and force >= HOLDS_N
+            self._held = self._held + 1 if enough else 0
+            if force > MOST_PUSH_N:
+                on_m -= BACK_M_S / CONTROL_HZ
+            elif not enough:
+                on_m += SPEED_M_S / CONTROL_HZ
+            yield np.concatenate([origin + on_m * way, quat])
+        *back, last = sample(legs[PUSHES + 1 :], np.concatenate([low, quat]))
+        for pose in (*back, last):
+            self.ended = pose is last
+            yield np.concatenate([pose[:3] - low + origin, pose[3:]])
 
-    def act(self) -> Action:
-        """Return the target for the next control period."""
-        if self._ahead:
-            pose = self._ahead.pop(0)
-            return Action(pose_tcp_in_base=np.concatenate([self._follower.follow(pose[:3]), pose[3:]]))
-        return Action(pose_tcp_in_base=self._beside())
-
-    def _beside(self) -> F64:
-        """Return the target pose (7,) from which the push begins."""
-        if self._from is None:
-            # From here on the limb moves because it is pushed: the target no longer follows it.
-            self._from = self._follower.follow(self._low)
-        if not self.succeeded and self._on_m < FARTHEST_M and not self._went_too_far:
-            self._push()
-            return np.concatenate([self._from + self._on_m * self._way, self._quat])
-        pose = self._after.pop(0)
-        return np.concatenate([pose[:3] - self._low + self._from, pose[3:]])
-
-    def _push(self) -> None:
-        force, wrist = self._truth.force_n(), self._truth.wrist()
-        if self._wrist is None and force > TOUCHES_N:
-            self._wrist = wrist
-        moved = 0.0 if self._wrist is None else float(np.linalg.norm((wrist - self._wrist)[:2]))
-        enough = moved >= WRIST_M and force >= HOLDS_N
-        self._held = self._held + 1 if enough else 0
-        self._went_too_far = moved > MOST_WRIST_M
-        if force > MOST_PUSH_N:
-            self._on_m -= BACK_M_S / CONTROL_HZ
-        elif not enough:
-            self._on_m += SPEED_M_S / CONTROL_HZ
-
-
-# The oracle: the state machine's primitives on what is really there, looked up again in every control period.
 
 AGAIN = 0.6
 """If a motion loses the person before this share of the trial's time, the oracle plans it once more for where the
@@ -276,10 +257,9 @@ class Oracle:
     def _held(self, contact: Sequence[Leg]) -> list[Leg]:
         """Turn the hand of a motion so that it keeps clear of the rest of the person."""
         held = hold(self._simulation, self._task.region, _places(contact))
-        self._notes |= {
-            "hand_quat_wxyz": held.quat_wxyz.round(4).tolist(), "hand_clear_mm": round(1000 * held.clear_m, 1),
-            "hand_reaches": held.reached,
-        }  # fmt: skip
+        clear_mm = round(1000 * held.clear_m, 1)
+        self._notes |= {"hand_quat_wxyz": held.quat_wxyz.round(4).tolist(), "hand_clear_mm": clear_mm}
+        self._notes["hand_reaches"] = held.reached
         if not held.reached:
             raise PlanningFailure(f"the arm cannot reach the {self._task.region} with any hold of the hand")
         return [replace(leg, quat_wxyz=held.quat_wxyz) for leg in contact]
@@ -295,25 +275,19 @@ def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
 
 
 def _with_room(geometry: RegionGeometry) -> RegionGeometry:
-    """Lengthen a short region at its near end. Friction ends a stroke early, and the far end has no room because a
-    joint lies there.
-    """
+    """Lengthen a short region at its near end. Friction ends a stroke early, and a joint lies at the far end."""
     whole = fixed.SCRUB_HALF_STROKE_M + fixed.SCRUB_END_MARGIN_M
     room = float(np.clip(whole - geometry.half_length_m, 0.0, ROOM_M / 2))
-    return replace(
-        geometry, centre_m=geometry.centre_m - room * geometry.axis, half_length_m=geometry.half_length_m + room,
-        profile_m=geometry.profile_m + [room, 0.0],
-    )  # fmt: skip
+    centre, profile = geometry.centre_m - room * geometry.axis, geometry.profile_m + [room, 0.0]
+    return replace(geometry, centre_m=centre, half_length_m=geometry.half_length_m + room, profile_m=profile)
 
 
 def _pushed(geometry: RegionGeometry) -> list[Leg]:
     if geometry.support_height_m is None:
         raise PlanningFailure(f"the {geometry.region} lies on nothing from which it could be pushed")
-    for towards_base in (True, False):
-        contact = push(
-            geometry, key_point=fixed.PUSH_KEY_POINTS[-1], depth_m=0.0, speed_m_s=fixed.PUSH_SPEEDS_M_S[0],
-            support_height_m=geometry.support_height_m, towards_base=towards_base,
-        )  # fmt: skip
+    lightest = {"key_point": fixed.PUSH_KEY_POINTS[-1], "depth_m": 0.0, "speed_m_s": fixed.PUSH_SPEEDS_M_S[0]}
+    for side in (True, False):
+        contact = push(geometry, **lightest, support_height_m=geometry.support_height_m, towards_base=side)
         if reachable(contact):
             return contact
     raise PlanningFailure(f"the arm reaches no side of the {geometry.region}")
@@ -326,14 +300,12 @@ def _places(contact: Sequence[Leg]) -> F64:
     return np.vstack([down.points[-1:], *ends])
 
 
-# The privileged way through a trial: a policy in the trial's own process that is given the episode's simulation.
-
 PRIVILEGED = {"oracle": Oracle}
 """Every policy that is ever given a simulation: the classes of this package and no other, whatever a row says."""
 
 
 def drive(episode: Episode, ref: PolicyRef) -> None:
-    """Run a privileged policy to the end of the episode; its recording says ``privileged``.
+    """Run a privileged policy, which is given the episode's simulation; the recording says ``privileged``.
 
     Raises ConfigError for a policy that is not one of PRIVILEGED.
     """

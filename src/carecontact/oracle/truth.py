@@ -18,8 +18,6 @@ from carecontact.policies.motion import CONTROL_HZ, UP, slerp, tool_quat
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.state import skin_in_world
 
-# What the oracle knows and no other policy may know: the true skin, limbs and arm board, and the contact force.
-
 F64 = npt.NDArray[np.float64]
 
 BOARD = "bed_armboard"
@@ -33,7 +31,10 @@ HARD_M = 0.005
 
 
 class Truth:
-    """The truth about one region in a running simulation. All poses and places are in the robot's base [m]."""
+    """The truth about one region in a running simulation, which no other policy may know.
+
+    All poses and places are in the robot's base [m].
+    """
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         """Raises ContractError for a region without a soft shell or whose joints are unknown."""
@@ -41,7 +42,7 @@ class Truth:
             raise ContractError(f"the oracle knows soft regions that lie between joints; {region} is none")
         self.simulation, self.region = simulation, region
         self._tissue = simulation.tissue[region]
-        self._net = simulation.history.columns(f"net_{REGIONS[region].segment}")
+        self._net = simulation.history.columns[f"net_{REGIONS[region].segment}"]
 
     def frame(self) -> F64:
         """(4, 4) pose of the region's frame, which moves with the bone and with breathing."""
@@ -77,12 +78,6 @@ class Truth:
         """(V, 3) vertices of the whole visible skin."""
         return self._in_base(skin_in_world(self.simulation.model, self.simulation.data))
 
-    def support_height(self) -> float:
-        """Height [m] of the top of the arm board."""
-        board = self.simulation.model.geom(BOARD)
-        top = self.simulation.data.geom(BOARD).xpos + [0.0, 0.0, board.size[2]]
-        return float(self._in_base(top[None])[0, 2])
-
     def geometry(self) -> RegionGeometry:
         """The region where it really is, in the form in which ``sight.region_from_observation`` finds it."""
         start, end = self._line()
@@ -102,17 +97,23 @@ class Truth:
         middle = float(np.interp(0.0, distance[known], heights[known]))
         axis = direction + np.array([0.0, 0.0, slope])
         axis /= np.linalg.norm(axis)
+        board = self.simulation.data.geom(BOARD).xpos + [0.0, 0.0, self.simulation.model.geom(BOARD).size[2]]
         rise = heights[known] - (middle + slope * distance[known])
         return RegionGeometry(
-            region=self.region, centre_m=np.append((start + 0.5 * length * direction + shift * lateral)[:2], middle),
-            axis=axis, normal=np.cross(axis, lateral), lateral=lateral, radius_m=float(np.ptp(strip)) / 2,
-            half_length_m=0.5 * length, profile_m=np.column_stack([distance[known] / (axis @ direction), rise]),
-            support_height_m=self.support_height() if limb else None,
-        )  # fmt: skip
+            region=self.region,
+            centre_m=np.append((start + 0.5 * length * direction + shift * lateral)[:2], middle),
+            axis=axis,
+            normal=np.cross(axis, lateral),
+            lateral=lateral,
+            radius_m=float(np.ptp(strip)) / 2,
+            half_length_m=0.5 * length,
+            profile_m=np.column_stack([distance[known] / (axis @ direction), rise]),
+            support_height_m=float(self._in_base(board[None])[0, 2]) if limb else None,
+        )
 
     def _line(self) -> tuple[F64, F64]:
-        """Return two places (3,) on the skin above the ends of the region's axis, as the scorer measures this axis, but
-        only as far as the region is soft. The end nearer to the trunk (abdomen: to the feet) comes first.
+        """Return the places (3,) on the skin above the ends of the region's axis, the end nearer to the trunk (abdomen:
+        to the feet) first. The axis is the scorer's, as far as the region is soft.
         """
         frame, (length, _, outward) = self.frame(), self.simulation.scene.frames[self.region].size_m
         soft = (self.surface() - frame[:3, 3]) @ frame[:3, 0]
@@ -131,22 +132,10 @@ def _top(points: F64, along: F64, across: F64) -> float:
 
 
 def displaced(points: F64, before: F64, now: F64) -> F64:
-    """Return where (n, 3) points lie after the frame that they belong to moved from pose ``before`` (4, 4) to
-    ``now``.
-    """
+    """Return (n, 3) points after their frame moved from the pose ``before`` (4, 4) to ``now``."""
     moved = now @ np.linalg.inv(before)
     return points @ moved[:3, :3].T + moved[:3, 3]
 
-
-def copy_of_robot(simulation: Simulation) -> mujoco.MjData:
-    """Return a copy of the simulation's state in which postures of the robot can be tried."""
-    data = mujoco.MjData(simulation.model)
-    data.qpos[:] = simulation.data.qpos
-    mujoco.mj_kinematics(simulation.model, data)
-    return data
-
-
-# Places that move with a region of the person, ahead of a tool that lags behind its target.
 
 RAMP_S = 2.0
 """Time [s] after the start in which the robot takes on the movement that it follows, because it begins at rest."""
@@ -178,8 +167,6 @@ class Follower:
         self._count += 1
         return place + min(1.0, self._count / (RAMP_S * CONTROL_HZ)) * (moved + lead - place)
 
-
-# How the oracle holds its hand: turned and leant so that hand and wrist keep clear of the rest of the person.
 
 TILTS_RAD = (0.0, 0.2, 0.4)
 YAWS_DEG = (0, 45, -45, 90, 135)
@@ -228,13 +215,14 @@ def hold(simulation: Simulation, region: str, places: F64) -> Held:
 
 def _ways(simulation: Simulation, place: F64) -> Iterator[F64]:
     """Yield orientations (4,) of the tool that point down or lean away from the trunk, the shoulder or the bed."""
-    data, encoders = simulation.data, simulation.encoders
+    data = simulation.data
 
-    def from_body(name: str) -> F64:
-        return place - encoders.in_base(data, data.body(body_name(name)).xpos, np.eye(3))[:3, 3]
+    def in_base(point: npt.ArrayLike) -> F64:
+        return simulation.encoders.in_base(data, point, np.eye(3))[:3, 3]
 
-    sideways = encoders.in_base(data, [0, 1, 0], np.eye(3))[:3, 3] - encoders.in_base(data, [0, 0, 0], np.eye(3))[:3, 3]
-    aways = [way * [1, 1, 0] for way in (from_body("thorax"), from_body("right_upper_arm"), sideways)]
+    trunk, shoulder = (in_base(data.body(body_name(segment)).xpos) for segment in ("thorax", "right_upper_arm"))
+    sideways = in_base([0, 1, 0]) - in_base([0, 0, 0])
+    aways = [way * [1, 1, 0] for way in (place - trunk, place - shoulder, sideways)]
     radial = np.arctan2(place[1], place[0])
     ways = [(tilt, k, yaw) for tilt in TILTS_RAD for k in range(len(aways)) for yaw in YAWS_DEG if tilt or k == 0]
     for tilt, k, yaw in sorted(ways, key=lambda way: way[0] / TILTS_RAD[1] + abs(way[2]) / 90):
@@ -248,7 +236,9 @@ class _Arm:
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         model = self._model = simulation.model
-        self._encoders, self._data = simulation.encoders, copy_of_robot(simulation)
+        self._encoders, self._data = simulation.encoders, mujoco.MjData(model)
+        self._data.qpos[:] = simulation.data.qpos
+        mujoco.mj_kinematics(model, self._data)
         self._tcp = model.site(simulation.robot.tcp_site).id
         joints = [model.joint(name) for name in simulation.robot.joints]
         self._dofs = [joint.dofadr[0] for joint in joints]
@@ -256,10 +246,8 @@ class _Arm:
         self._parked = np.array(simulation.protocol.scene.parked_joint_rad)
         names = [model.geom(g).name for g in range(model.ngeom)]
         self._hand = [g for g, name in enumerate(names) if name.startswith(simulation.robot.wrist_geoms)]
-        self._person = [
-            g for g, name in enumerate(names)
-            if name.startswith("human_hull_") or (name.startswith("human_core_") and f"_{region}_" not in name)
-        ]  # fmt: skip
+        rest = [name.startswith("human_core_") and f"_{region}_" not in name for name in names]
+        self._person = [g for g, name in enumerate(names) if name.startswith("human_hull_") or rest[g]]
 
     def tried(self, quat: F64, places: F64) -> Held:
         """``places``: (n, 3) of the tool centre point in base."""
@@ -272,9 +260,12 @@ class _Arm:
             steps = STEPS[min(number, 1)]
             for k in range(1, steps + 1):
                 self._follow(first + k / steps * (place - first), matrix_from_quat(slerp(last, quat, k / steps)))
-            reached &= self._error(place, matrix_from_quat(quat)) < POSE_ERROR_M and self._margin() > JOINT_MARGIN_RAD
+            error = np.linalg.norm(self._difference(place, matrix_from_quat(quat)))
+            angles = self._encoders.joint_position(self._data)
+            margin = np.minimum(angles - self._range[:, 0], self._range[:, 1] - angles).min()
+            reached &= bool(error < POSE_ERROR_M and margin > JOINT_MARGIN_RAD)
             clear = min(clear, self._clearance(clear))
-        return Held(quat_wxyz=quat, reached=bool(reached), clear_m=clear)
+        return Held(quat_wxyz=quat, reached=reached, clear_m=clear)
 
     def _follow(self, position: F64, rotation: F64) -> None:
         """Move the joints toward a pose of the tool, as ``sim.impedance`` would with its posture."""
@@ -298,13 +289,6 @@ class _Arm:
         pose = self._encoders.pose_tcp_in_base(self._data)
         turn = 0.5 * np.cross(pose[:3, :3], rotation, axis=0).sum(1)
         return np.concatenate([position - pose[:3, 3], turn])
-
-    def _error(self, position: F64, rotation: F64) -> float:
-        return float(np.linalg.norm(self._difference(position, rotation)))
-
-    def _margin(self) -> float:
-        angles = self._encoders.joint_position(self._data)
-        return float(np.minimum(angles - self._range[:, 0], self._range[:, 1] - angles).min())
 
     def _clearance(self, enough: float) -> float:
         model, data, between = self._model, self._data, np.zeros(6)

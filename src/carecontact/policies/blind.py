@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
@@ -15,7 +16,7 @@ from carecontact.errors import ConfigError, ContractError
 from carecontact.interface.action import Action
 from carecontact.interface.body_view import PerceptionFailure, person_points, region_from_observation
 from carecontact.interface.observation import MODALITIES, Observation
-from carecontact.interface.policy import PolicyCard, PolicyRef
+from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import Session
 from carecontact.policies.language.backend import Rules
 from carecontact.policies.motion import (
@@ -23,14 +24,14 @@ from carecontact.policies.motion import (
     FREE_SPEED_M_S,
     NEAR_SPEED_M_S,
     TRAVEL_CLEARANCE_M,
+    UP,
     Leg,
+    chunk,
     radial_quat,
     sample,
     travel,
 )
-from carecontact.policies.registry import POLICIES, policy_target
-
-# The blind baseline that does nothing; every other policy has to do better.
+from carecontact.policies.registry import POLICIES
 
 
 class ZeroAction:
@@ -46,8 +47,6 @@ class ZeroAction:
         return [Action()] * 30
 
 
-# The blind baseline that moves to random targets: a gate that it meets is too easy.
-
 CAMERA = "overhead"
 NEW_TARGET_S = 1.0
 """Time between two targets: at the session's speed limit, the tool moves about 0.25 m."""
@@ -57,8 +56,7 @@ POINTING_DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 class RandomTargets:
     """Moves to a new target every NEW_TARGET_S until time is up: uniform over the workspace, the tool pointing down.
 
-    The instruction and the first depth image seed the random numbers: nothing else that a policy may know differs
-    between trials.
+    The instruction and the first depth image seed the random numbers: no other input differs between trials.
     """
 
     card = PolicyCard(name="random", modalities=("depth",), cameras=(CAMERA,), control_hz=1.0 / NEW_TARGET_S)
@@ -68,7 +66,6 @@ class RandomTargets:
         self._instruction = ""
 
     def configure(self, session: Session) -> None:
-        """Take over the workspace and the time limit."""
         self._session = session
 
     def reset(self, instruction: str) -> None:
@@ -87,8 +84,6 @@ class RandomTargets:
         targets = rng.uniform(bounds.workspace_low_m, bounds.workspace_high_m, (count, 3))
         return [Action(pose_tcp_in_base=np.concatenate([target, POINTING_DOWN])) for target in targets]
 
-
-# The blind baseline that looks and approaches but never touches.
 
 HEIGHT_M = 0.05
 """Height above the seen surface: five times the error of that surface, so that a contact is an error of perception."""
@@ -122,11 +117,10 @@ class Hover:
     def act(self, observation: Observation) -> list[Action]:
         """Return the whole way as one chunk, of which the last action ends the trial."""
         try:
-            poses = list(sample(self.way(observation), observation.pose_tcp_in_base, control_hz=CONTROL_HZ))
+            return chunk(self.way(observation), observation.pose_tcp_in_base)
         except PerceptionFailure as error:
             logger.warning("Hover stays where it is: %s", error)
             return [Action(done=True)]
-        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
 
     def way(self, observation: Observation, *, hold_s: float = HOLD_S) -> list[Leg]:
         """Return the way over the region, where it waits for ``hold_s`` [s], and up again.
@@ -137,17 +131,11 @@ class Hover:
             raise ContractError("act() was called before reset()")
         region, side = self._place
         geometry = region_from_observation(observation, region, side=side, camera=CAMERA)
-        wait = Leg(
-            points=(geometry.centre_m + np.array([0.0, 0.0, HEIGHT_M]))[None],
-            quat_wxyz=radial_quat(geometry.centre_m),
-            speed_m_s=NEAR_SPEED_M_S,
-            hold_s=hold_s,
-        )
+        over = geometry.centre_m + HEIGHT_M * UP
+        wait = Leg.to(over, radial_quat(geometry.centre_m), NEAR_SPEED_M_S, hold_s=hold_s)
         clear = float(person_points(observation.cameras[CAMERA])[:, 2].max()) + TRAVEL_CLEARANCE_M
         return travel(observation.pose_tcp_in_base, [wait], travel_height_m=clear)
 
-
-# A probe that approaches the person and waits before it acts. In a fair world, this does not raise its rate.
 
 OVER_S, WAIT_S = 2.0, 3.0
 """Above the region and, back where the robot was parked, before the policy is asked: a trigger on an approach, or one
@@ -158,23 +146,21 @@ trial of 30 s, which is too short for long scrubs."""
 class FeintAndWait:
     """Moves over the region as ``hover`` does, goes back, waits, and only then shows the policy what it sees.
 
-    A world in which the person moves by itself must not reward this: whoever moves at a fixed time, or when the robot
-    comes near, can be provoked and waited for.
+    A world in which the person moves must not reward this: a person who moves at a fixed time, or when the robot comes
+    near, can be provoked and waited for.
     """
 
     def __init__(self, *, base: str = "state-machine") -> None:
         """``base``: name of the registered policy that acts afterwards. Raises ConfigError for one that cannot."""
-        self._base, self._hover = _made(base), Hover()
+        self._base, self._hover = _policy(base), Hover()
         card = self._base.card
         wanted = {*card.modalities, *Hover.card.modalities}
-        self.card = replace(
-            card, name="feint-and-wait", modalities=tuple(name for name in MODALITIES if name in wanted),
-            cameras=tuple(dict.fromkeys((*card.cameras, *Hover.card.cameras))),
-        )  # fmt: skip
+        modalities = tuple(name for name in MODALITIES if name in wanted)
+        cameras = tuple(dict.fromkeys((*card.cameras, *Hover.card.cameras)))
+        self.card = replace(card, name="feint-and-wait", modalities=modalities, cameras=cameras)
         self._began = False
 
     def configure(self, session: Session) -> None:
-        """Pass the session on."""
         if hasattr(self._base, "configure"):
             self._base.configure(session)
 
@@ -185,17 +171,15 @@ class FeintAndWait:
         self._base.reset(instruction)
 
     def act(self, observation: Observation) -> Action | Sequence[Action]:
-        """Return the feint at first, then whatever the policy answers."""
+        """Return the feint at first, then the answers of the policy. Without a person in view, it only waits."""
         if self._began:
             return self._base.act(observation)
         self._began = True
         start = observation.pose_tcp_in_base
-        back = Leg(points=start[:3][None], quat_wxyz=start[3:], speed_m_s=FREE_SPEED_M_S)
-        try:
-            legs = [*self._hover.way(observation, hold_s=OVER_S), back]
-            feint = [Action(pose_tcp_in_base=pose) for pose in sample(legs, start, control_hz=CONTROL_HZ)]
-        except PerceptionFailure:  # who sees nobody has nobody to feint at
-            feint = list[Action]()
+        legs: list[Leg] = []
+        with suppress(PerceptionFailure):
+            legs = [*self._hover.way(observation, hold_s=OVER_S), Leg.to(start[:3], start[3:], FREE_SPEED_M_S)]
+        feint = [Action(pose_tcp_in_base=pose) for pose in sample(legs, start)]
         return [*feint, *[Action()] * round(WAIT_S * CONTROL_HZ)]
 
     def take_notes(self) -> dict[str, object]:
@@ -203,13 +187,12 @@ class FeintAndWait:
         return self._base.take_notes() if self._began and hasattr(self._base, "take_notes") else {}
 
 
-def _made(name: str) -> Any:
-    row = POLICIES.get(name)
-    usable = [n for n, r in POLICIES.usable().items() if r.role != "privileged" and n != "feint-and-wait"]
-    if row is None or name not in usable:
+def _policy(name: str) -> Any:
+    usable = [n for n, row in POLICIES.usable().items() if row.role != "privileged" and n != "feint-and-wait"]
+    if name not in usable:
         raise ConfigError(f"base: no policy {name!r} that could act after a feint; valid: {', '.join(usable)}")
-    module, _, made = policy_target(PolicyRef.parse(name)).partition(":")
-    base = getattr(import_module(module), made)()
+    module, _, cls = POLICIES[name].target.partition(":")
+    base = getattr(import_module(module), cls)()
     if base.card.control_hz != CONTROL_HZ or base.card.action_space != "cartesian_pose":
         raise ConfigError(
             f"base: {name} does not send poses of the tool at {CONTROL_HZ:g} Hz, at which the feint moves"

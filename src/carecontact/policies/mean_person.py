@@ -4,7 +4,7 @@ frame."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -19,10 +19,9 @@ from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import ActionBounds, Session
 from carecontact.policies.language.backend import Intent, Rules
-from carecontact.policies.motion import CONTROL_HZ, sample
+from carecontact.policies.language.completion import first_fault
+from carecontact.policies.motion import CONTROL_HZ, chunk
 from carecontact.policies.state_machine import PlanningFailure, candidates
-
-# The places of the regions of a protocol's persons on average, in the overhead camera's frame.
 
 F64 = npt.NDArray[np.float64]
 
@@ -74,8 +73,7 @@ def read_person(path: Path | None) -> MeanPerson:
             "tools/mean_person.py wrote"
         ) from None
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigError(f"mean person {path or FILE}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        raise ConfigError(f"mean person {path or FILE}: {first_fault(error, 'the file')}") from None
 
 
 def geometry_in_base(name: str, mean: MeanRegion, pose_camera_in_base: F64) -> RegionGeometry:
@@ -85,15 +83,18 @@ def geometry_in_base(name: str, mean: MeanRegion, pose_camera_in_base: F64) -> R
     axis: F64 = turn @ np.array(mean.axis_in_camera)
     axis /= np.linalg.norm(axis)
     lateral = np.array([-axis[1], axis[0], 0.0]) / np.hypot(axis[0], axis[1])
-    normal = np.cross(axis, lateral).astype(np.float64)
     return RegionGeometry(
-        region=name, centre_m=centre, axis=axis, normal=normal, lateral=lateral,
-        radius_m=mean.radius_m, half_length_m=mean.half_length_m, profile_m=np.array(mean.profile_m),
+        region=name,
+        centre_m=centre,
+        axis=axis,
+        normal=np.cross(axis, lateral).astype(np.float64),
+        lateral=lateral,
+        radius_m=mean.radius_m,
+        half_length_m=mean.half_length_m,
+        profile_m=np.array(mean.profile_m),
         support_height_m=None if mean.support_under_m is None else float(centre[2]) - mean.support_under_m,
-    )  # fmt: skip
+    )
 
-
-# The state machine's primitives on the mean person: a gate that this baseline meets does not require vision.
 
 logger = logging.getLogger(__name__)
 
@@ -116,7 +117,6 @@ class MeanPersonPolicy:
         self._intent: Intent | None = None
 
     def configure(self, session: Session) -> None:
-        """Take over the workspace bounds."""
         self._bounds = session.action_bounds
 
     def reset(self, instruction: str) -> None:
@@ -128,25 +128,17 @@ class MeanPersonPolicy:
         if self._intent is None:
             raise ContractError("act() was called before reset()")
         try:
-            poses = list(self._plan(self._intent, observation))
-        except PlanningFailure as error:
+            return self._plan(self._intent, observation)
+        except ContractError as error:
             logger.warning("The mean person's policy ends the trial without touching: %s", error)
             return [Action(done=True)]
-        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
 
-    def _plan(self, intent: Intent, observation: Observation) -> Iterator[F64]:
+    def _plan(self, intent: Intent, observation: Observation) -> list[Action]:
         mean = self._person.regions.get(intent.region)
         if mean is None:
             raise PlanningFailure(f"nothing is known of the {intent.region} of the mean person")
-        pose = observation.cameras[self._person.camera].pose_camera_in_base
+        pose, start = observation.cameras[self._person.camera].pose_camera_in_base, observation.pose_tcp_in_base
         geometry = geometry_in_base(intent.region, mean, pose)
-        start = observation.pose_tcp_in_base
-        options = candidates(
-            geometry, start_pose=start, travel_height_m=float(geometry.centre_m[2]) + mean.way_over_m,
-            bounds=self._bounds,
-        )  # fmt: skip
-        try:
-            chosen = options[self._rules.choose(intent, [option.option for option in options])]
-        except ContractError as error:
-            raise PlanningFailure(str(error)) from None
-        return sample(chosen.legs, start, control_hz=CONTROL_HZ)
+        height = float(geometry.centre_m[2]) + mean.way_over_m
+        options = candidates(geometry, start_pose=start, travel_height_m=height, bounds=self._bounds)
+        return chunk(options[self._rules.choose(intent, [option.option for option in options])].legs, start)

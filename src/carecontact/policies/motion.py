@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.interface.action import Action
 from carecontact.interface.geometry import quat_from_matrix
 from carecontact.interface.robot import PANDA
 
@@ -41,6 +42,11 @@ class Leg:
     speed_m_s: float
     hold_s: float = 0.0
     """How long the tool stays at the last point [s]."""
+
+    @classmethod
+    def to(cls, place: F64, quat_wxyz: F64, speed_m_s: float, *, hold_s: float = 0.0) -> Leg:
+        """Return the straight way to one place (3,)."""
+        return cls(points=place[None], quat_wxyz=quat_wxyz, speed_m_s=speed_m_s, hold_s=hold_s)
 
 
 def tool_quat(tool_axis: F64, gripper_axis: F64) -> F64:
@@ -77,17 +83,22 @@ def travel(start_pose: F64, contact: Sequence[Leg], *, travel_height_m: float) -
     over = np.array([goal[0], goal[1], height])
     last = contact[-1].points[-1]
     leave = np.array([last[0], last[1], max(height, float(last[2]))])
-    speed = FREE_SPEED_M_S
     return [
-        Leg(points=lifted[None], quat_wxyz=start_pose[3:], speed_m_s=speed),
-        Leg(points=over[None], quat_wxyz=quat, speed_m_s=speed),
+        Leg.to(lifted, start_pose[3:], FREE_SPEED_M_S),
+        Leg.to(over, quat, FREE_SPEED_M_S),
         *contact,
-        Leg(points=leave[None], quat_wxyz=contact[-1].quat_wxyz, speed_m_s=speed),
+        Leg.to(leave, contact[-1].quat_wxyz, FREE_SPEED_M_S),
     ]
 
 
-def sample(legs: Sequence[Leg], start_pose: F64, *, control_hz: float) -> Iterator[F64]:
-    """Yield (7,) target poses at ``control_hz`` [Hz], from the first one after ``start_pose`` (7,) to the last.
+def chunk(legs: Sequence[Leg], start_pose: F64) -> list[Action]:
+    """Return the whole way from ``start_pose`` (7,) as one chunk of actions, of which the last ends the trial."""
+    poses = list(sample(legs, start_pose))
+    return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
+
+
+def sample(legs: Sequence[Leg], start_pose: F64) -> Iterator[F64]:
+    """Yield (7,) target poses at CONTROL_HZ, from the first one after ``start_pose`` (7,) to the last.
 
     No two neighbouring targets are farther apart than a leg's speed allows.
     """
@@ -96,11 +107,10 @@ def sample(legs: Sequence[Leg], start_pose: F64, *, control_hz: float) -> Iterat
         knots = np.vstack([position, leg.points])
         reach = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
         angle = 2 * np.arccos(np.clip(abs(float(quat @ leg.quat_wxyz)), 0.0, 1.0))
-        progress = _progress(float(reach[-1]), float(angle), leg.speed_m_s, control_hz)
-        for share in progress:
+        for share in _progress(float(reach[-1]), float(angle), leg.speed_m_s):
             yield np.concatenate([_along(knots, reach, share * reach[-1]), slerp(quat, leg.quat_wxyz, share)])
         position, quat = leg.points[-1], leg.quat_wxyz
-        for _ in range(round(leg.hold_s * control_hz)):
+        for _ in range(round(leg.hold_s * CONTROL_HZ)):
             yield np.concatenate([position, quat])
 
 
@@ -123,7 +133,7 @@ def _along(knots: F64, reach: F64, distance: float) -> F64:
     return knots[k] + share * (knots[k + 1] - knots[k])
 
 
-def _progress(length: float, angle: float, speed: float, control_hz: float) -> F64:
+def _progress(length: float, angle: float, speed: float) -> F64:
     """Return the share of a leg that is done at each control tick.
 
     The speed follows a trapezoid over time, stretched so that the last tick falls on the end of the leg.
@@ -135,7 +145,7 @@ def _progress(length: float, angle: float, speed: float, control_hz: float) -> F
     cruise = min(speed, float(np.sqrt(effective * ACCELERATION_M_S2)))
     ramp = cruise / ACCELERATION_M_S2
     duration = effective / cruise + ramp
-    ticks = int(np.ceil(duration * control_hz))
+    ticks = int(np.ceil(duration * CONTROL_HZ))
     time = np.linspace(0.0, duration, ticks + 1)[1:]
     tail = np.minimum(ramp, duration - time)
     first = np.minimum(time, ramp)

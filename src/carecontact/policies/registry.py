@@ -26,106 +26,66 @@ class PolicyRow:
     role: Role = "method"
 
 
-POLICIES: Registry[PolicyRow] = Registry("policy", row=PolicyRow, plural="policies")
-POLICIES.register(
-    "zero-action",
-    PolicyRow(
+SHIPPED = {
+    "zero-action": PolicyRow(
         target="carecontact.policies.blind:ZeroAction",
+        role="blind",
         description="Blind baseline: stays parked for the whole trial. It must fail every task safely.",
-        role="blind",
     ),
-)
-POLICIES.register(
-    "hover",
-    PolicyRow(
+    "hover": PolicyRow(
         target="carecontact.policies.blind:Hover",
+        role="blind",
         description="Blind baseline: finds the named region and waits 50 mm above it. It must fail every task safely.",
-        role="blind",
     ),
-)
-POLICIES.register(
-    "random",
-    PolicyRow(
+    "random": PolicyRow(
         target="carecontact.policies.blind:RandomTargets",
-        description=(
-            "Blind baseline: moves to random targets in the workspace. If it passes a gate, the gate is too easy."
-        ),
         role="blind",
+        description="Blind baseline: moves to random targets in the workspace. A gate that it passes is too easy.",
     ),
-)
-POLICIES.register(
-    "replay",
-    PolicyRow(
+    "replay": PolicyRow(
         target="carecontact.policies.replay:Replay",
-        description=(
-            "Blind baseline: repeats actions that the state machine executed at another arm angle, without looking."
-        ),
         role="blind",
+        description="Blind baseline: repeats the state machine's actions at another arm angle, without looking.",
     ),
-)
-POLICIES.register(
-    "replay-registered",
-    PolicyRow(
+    "replay-registered": PolicyRow(
         target="carecontact.policies.replay:ReplayRegistered",
-        description="Blind baseline: repeats recorded actions where the overhead camera is said to stand, unseeing.",
         role="blind",
+        description="Blind baseline: repeats recorded actions relative to the overhead camera's pose, without looking.",
     ),
-)
-POLICIES.register(
-    "mean-person",
-    PolicyRow(
+    "mean-person": PolicyRow(
         target="carecontact.policies.mean_person:MeanPersonPolicy",
-        description="Blind baseline: the state machine's motions on the average person, without a picture.",
         role="blind",
+        description="Blind baseline: the state machine's motions on the average person, without a picture.",
     ),
-)
-POLICIES.register(
-    "feint-and-wait",
-    PolicyRow(
+    "feint-and-wait": PolicyRow(
         target="carecontact.policies.blind:FeintAndWait",
-        description="Probe: approaches the person, goes back and waits before the state machine acts; must not pay.",
         role="probe",
+        description="Probe: approaches the person, goes back and waits before the state machine acts; must not pay.",
     ),
-)
-POLICIES.register(
-    "state-machine",
-    PolicyRow(
+    "state-machine": PolicyRow(
         target="carecontact.policies.state_machine:StateMachine",
-        description="The paper's method: perceive once, choose contact primitives by language, execute open loop.",
         languages=("rules-v1", "replay", "live"),
+        description="The paper's method: perceive once, choose contact primitives by language, execute open loop.",
     ),
-)
-POLICIES.register(
-    "voxposer",
-    PolicyRow(
+    "voxposer": PolicyRow(
         target="carecontact.policies.voxposer.policy:VoxPoser",
-        description=(
-            "VoxPoser: programs write value maps, and a greedy planner follows them. Default programs: written by hand."
-        ),
         languages=("replay", "live"),
+        description="VoxPoser: programs, by default written by hand, write value maps; a greedy planner follows them.",
     ),
-)
-POLICIES.register(
-    "voxposer-phased",
-    PolicyRow(
+    "voxposer-phased": PolicyRow(
         target="carecontact.policies.voxposer.policy:VoxPoserPhased",
-        description=(
-            "VoxPoser until the tool touches, then the paper's explicit progress objective. "
-            "Default programs: written by hand."
-        ),
         languages=("replay", "live"),
+        description="VoxPoser until the tool touches, then the paper's progress objective. Default programs: by hand.",
     ),
-)
-
-
-POLICIES.register(
-    "oracle",
-    PolicyRow(
+    "oracle": PolicyRow(
         target="carecontact.oracle.policy:Oracle",
-        description="Privileged ceiling: the state machine's motions, given the true skin, pose and contact force.",
         role="privileged",
+        description="Privileged ceiling: the state machine's motions, given the true skin, pose and contact force.",
     ),
-)
+}
+POLICIES: Registry[PolicyRow] = Registry("policy", row=PolicyRow, plural="policies")
+for _name, _row in SHIPPED.items():
+    POLICIES.register(_name, _row)
 
 
 def role_of(policy: str) -> Role:
@@ -154,9 +114,8 @@ def policy_target(ref: PolicyRef) -> str:
     try:
         row = POLICIES[ref.text]
     except UnknownNameError as error:
-        raise UnknownNameError(
-            "policy", ref.text, (*error.valid, IMPORTABLE, *(f"{scheme}://HOST:PORT" for scheme in SCHEMES))
-        ) from None
+        addresses = (f"{scheme}://HOST:PORT" for scheme in SCHEMES)
+        raise UnknownNameError("policy", ref.text, (*error.valid, IMPORTABLE, *addresses)) from None
     if row.role == "privileged":
         raise ConfigError(
             f"policy {ref.text} is privileged: it is given the simulation of a trial, so it cannot be served, checked, "

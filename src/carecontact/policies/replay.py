@@ -18,8 +18,6 @@ from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 
-# Recorded actions of one policy in one trial of each task, and where the camera stood in it.
-
 F64 = npt.NDArray[np.float64]
 
 CONTROL_HZ = 20.0
@@ -34,16 +32,13 @@ CAMERA_ARRAY = "/camera"
 
 @dataclass(frozen=True, kw_only=True)
 class Donor:
-    """One recorded trial."""
-
     actions: F64
     """(n, 9), see ACTIONS."""
     pose_camera_in_base: F64
     """(4, 4)"""
 
     def seen_from(self, pose_camera_in_base: F64) -> Donor:
-        """The same path relative to a camera (4, 4) that stands elsewhere in base, so that it looks the same in its
-        picture."""
+        """Return the path that looks the same in the picture of a camera (4, 4) that stands elsewhere in base."""
         moved = pose_camera_in_base @ np.linalg.inv(self.pose_camera_in_base)
         actions = self.actions.copy()
         for row in actions:
@@ -55,24 +50,23 @@ class Donor:
 
     def chunk(self) -> Sequence[Action]:
         """Return all recorded actions; the last one ends the trial."""
-        last = len(self.actions) - 1
-        return [
-            Action(
-                pose_tcp_in_base=None if np.isnan(row[0]) else np.concatenate([row[:3], _unit(row[3:7])]),
-                stiffness=None if np.isnan(row[7]) else (float(row[7]), float(row[8])),
-                done=k == last,
-            )
-            for k, row in enumerate(self.actions)
-        ]
+        actions: list[Action] = []
+        for k, row in enumerate(self.actions):
+            pose = None if np.isnan(row[0]) else np.concatenate([row[:3], _unit(row[3:7])])
+            stiffness = None if np.isnan(row[7]) else (float(row[7]), float(row[8]))
+            actions.append(Action(pose_tcp_in_base=pose, stiffness=stiffness, done=k == len(self.actions) - 1))
+        return actions
+
+
+def _unit(quat: F64) -> F64:
+    # The file stores single precision, in which the quaternion's norm is not 1 to the last bit of a double.
+    return quat / np.linalg.norm(quat)
 
 
 def read_donors(path: Path | None = None) -> dict[str, Donor]:
-    """Instruction -> its recorded trial.
+    """Return instruction -> its recorded trial. Raises ConfigError for a file that is none.
 
-    Args:
-        path: a file, or the name of one that is shipped beside ACTIONS, without its suffix; None: ACTIONS.
-
-    Raises ConfigError for a file that is none.
+    ``path``: a file, or the name of one that is shipped beside ACTIONS, without its suffix; None: ACTIONS.
     """
     kept = resources.files("carecontact.policies") / "data" / "replay" / (ACTIONS if path is None else f"{path}.npz")
     try:
@@ -85,24 +79,8 @@ def read_donors(path: Path | None = None) -> dict[str, Donor]:
             if not name.endswith(CAMERA_ARRAY)
         }
     except (OSError, ValueError, KeyError, BadZipFile) as error:
-        why = f"{type(error).__name__}: {error}"
-        raise ConfigError(f"donor {path}: not a file of tools/record_replay.py ({why})") from None
+        raise ConfigError(f"donor {path}: not a file of tools/record_replay.py ({error!r})") from None
 
-
-def donor_of(donors: dict[str, Donor], instruction: str, policy: str) -> Donor:
-    """Raises ContractError for an instruction that was not recorded."""
-    if instruction not in donors:
-        valid = ", ".join(sorted(donors))
-        raise ContractError(f"{policy} has no recorded actions for the instruction {instruction!r}; valid: {valid}")
-    return donors[instruction]
-
-
-def _unit(quat: F64) -> F64:
-    # The file stores single precision, in which the quaternion's norm is not 1 to the last bit of a double.
-    return quat / np.linalg.norm(quat)
-
-
-# The blind baselines that repeat the actions of another trial: a gate that they meet does not require vision.
 
 CAMERA = "overhead"
 
@@ -114,20 +92,18 @@ class Replay:
 
     def __init__(self, *, donor: Path | None = None) -> None:
         """``donor``: file of tools/record_replay.py, or the name of a shipped one. Raises ConfigError."""
-        self._donors, self._donor = read_donors(donor), None
+        self._donors = read_donors(donor)
 
     def reset(self, instruction: str) -> None:
         """Choose the recording. Raises ContractError for an instruction that was not recorded."""
-        self._donor: Donor | None = donor_of(self._donors, instruction, self.card.name)
+        if instruction not in self._donors:
+            valid = ", ".join(sorted(self._donors))
+            raise ContractError(f"{self.card.name} has no actions for the instruction {instruction!r}; valid: {valid}")
+        self._donor = self._donors[instruction]
 
     def act(self, observation: Observation) -> Sequence[Action]:
         """Return all recorded actions as one chunk, of which the last one ends the trial."""
-        return self._placed(observation).chunk()
-
-    def _placed(self, observation: Observation) -> Donor:
-        if self._donor is None:
-            raise ContractError("act() was called before reset()")
-        return self._donor
+        return self._donor.chunk()
 
 
 class ReplayRegistered(Replay):
@@ -138,5 +114,6 @@ class ReplayRegistered(Replay):
 
     card = PolicyCard(name="replay-registered", cameras=(CAMERA,), control_hz=CONTROL_HZ, out_of_bounds="clip")
 
-    def _placed(self, observation: Observation) -> Donor:
-        return super()._placed(observation).seen_from(observation.cameras[CAMERA].pose_camera_in_base)
+    def act(self, observation: Observation) -> Sequence[Action]:
+        """Return the actions relative to where the camera stands now."""
+        return self._donor.seen_from(observation.cameras[CAMERA].pose_camera_in_base).chunk()

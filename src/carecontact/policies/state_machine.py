@@ -30,8 +30,8 @@ from carecontact.policies.motion import (
     TRAVEL_CLEARANCE_M,
     UP,
     Leg,
+    chunk,
     radial_quat,
-    sample,
     tool_quat,
     travel,
 )
@@ -101,54 +101,45 @@ SHOULDER_TO_WRIST_M = (0.26, 0.712)
 wrist in one line."""
 
 
-# The three contact primitives: touch, scrub and push, each a list of legs at the person.
-
 F64 = npt.NDArray[np.float64]
 
 
 def touch(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m_s: float) -> list[Leg]:
-    """Move down onto the skin, rest there, and move up.
+    """Move down onto the skin at ``speed_m_s``, rest there, and move up.
 
     Args:
-        geometry: the region as it was seen.
         key_point: place along the region, 0 at its proximal end (abdomen: caudal) and 1 at the other end.
         depth_m: how far below the seen skin the tool is commanded [m].
-        speed_m_s: speed of the way down.
     """
     skin = geometry.surface((key_point - 0.5) * 2 * geometry.half_length_m)
     quat = radial_quat(geometry.centre_m)
+    over = skin + HOVER_M * UP
     return [
-        _hover(skin, quat),
-        _down(skin - depth_m * UP, quat, speed_m_s, hold_s=TOUCH_DWELL_S),
-        _up(skin, quat),
+        Leg.to(over, quat, FREE_SPEED_M_S),
+        Leg.to(skin - depth_m * UP, quat, speed_m_s, hold_s=TOUCH_DWELL_S),
+        Leg.to(over, quat, NEAR_SPEED_M_S),
     ]
 
 
 def scrub(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m_s: float) -> list[Leg]:
     """Move down, to one end of the stroke, back and forth along the region's axis over the seen surface, and up.
 
-    Args:
-        geometry: the region as it was seen.
-        key_point: middle of the stroke along the region, 0 to 1; it is moved inward where the stroke would not fit.
-        depth_m: how far below the seen skin the tool is commanded [m].
-        speed_m_s: speed of the strokes.
+    The arguments are those of ``touch``. The middle of the stroke is moved inward where the stroke would not fit.
     """
-    half = min(SCRUB_HALF_STROKE_M, geometry.half_length_m - SCRUB_END_MARGIN_M)
+    half, hold = min(SCRUB_HALF_STROKE_M, geometry.half_length_m - SCRUB_END_MARGIN_M), SCRUB_END_DWELL_S
     room = geometry.half_length_m - SCRUB_END_MARGIN_M - half
     middle = float(np.clip((key_point - 0.5) * 2 * geometry.half_length_m, -room, room))
     steps = int(np.ceil(half / SCRUB_STEP_M))
-    stroke = np.array(
-        [geometry.surface(s) - depth_m * UP for s in np.linspace(middle - half, middle + half, 2 * steps + 1)]
-    )
+    along = np.linspace(middle - half, middle + half, 2 * steps + 1)
+    stroke = np.array([geometry.surface(s) - depth_m * UP for s in along])
     quat = radial_quat(geometry.centre_m)
-    hold = SCRUB_END_DWELL_S
     skin = stroke[steps] + depth_m * UP
     passes = [stroke[steps + 1 :], *([stroke[-2::-1], stroke[1:]] * SCRUB_PASSES)[:SCRUB_PASSES]]
     return [
-        _hover(skin, quat),
-        _down(stroke[steps], quat, DESCENT_SPEED_M_S, hold_s=hold),
+        Leg.to(skin + HOVER_M * UP, quat, FREE_SPEED_M_S),
+        Leg.to(stroke[steps], quat, DESCENT_SPEED_M_S, hold_s=hold),
         *(Leg(points=path, quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=hold) for path in passes),
-        _up(passes[-1][-1] + depth_m * UP, quat),
+        Leg.to(passes[-1][-1] + depth_m * UP + HOVER_M * UP, quat, NEAR_SPEED_M_S),
     ]
 
 
@@ -166,10 +157,8 @@ def push(
     The push is level and across the limb's axis: pressing a limb into what it lies on moves nothing.
 
     Args:
-        geometry: the limb as it was seen.
-        key_point: place along the limb, 0 at its proximal end and 1 at its distal end.
+        key_point: place along the limb, as for ``touch``.
         depth_m: how far past the limb's visible side the tool is commanded [m].
-        speed_m_s: speed of the push.
         support_height_m: height in base of what the limb lies on [m].
         towards_base: whether the tool comes from the side that faces the robot's base.
     """
@@ -187,21 +176,16 @@ def push(
     away = low + PUSH_BACK_OFF_M * outward
     away_high = away + (skin[2] + HOVER_M - tip) * UP
     return [
-        _hover(beside, quat),
-        _down(low, quat, DESCENT_SPEED_M_S),
-        Leg(points=pushed[None], quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=PUSH_HOLD_S),
-        Leg(points=away[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S),
-        Leg(points=away_high[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S),
+        Leg.to(beside + HOVER_M * UP, quat, FREE_SPEED_M_S),
+        Leg.to(low, quat, DESCENT_SPEED_M_S),
+        Leg.to(pushed, quat, speed_m_s, hold_s=PUSH_HOLD_S),
+        Leg.to(away, quat, NEAR_SPEED_M_S),
+        Leg.to(away_high, quat, NEAR_SPEED_M_S),
     ]
 
 
 def travel_height(person: F64, start_pose: F64, goal: F64) -> float:
-    """Return a height in base [m] that clears the person between the parked tool and ``goal`` (3,).
-
-    Args:
-        person: (N, 3) points of the person's surface in base [m].
-        start_pose: (7,) pose of the parked tool in base.
-    """
+    """Return a height in base [m] that clears a person (N, 3) between the parked tool (7,) and ``goal`` (3,)."""
     start = start_pose[:2]
     way = goal[:2] - start
     offset = person[:, :2] - start
@@ -209,21 +193,6 @@ def travel_height(person: F64, start_pose: F64, goal: F64) -> float:
     near = np.linalg.norm(offset - share[:, None] * way, axis=1) < TRAVEL_CORRIDOR_M
     top = float(person[near, 2].max()) if near.any() else float(goal[2])
     return top + TRAVEL_CLEARANCE_M
-
-
-def _hover(skin: F64, quat: F64) -> Leg:
-    return Leg(points=(skin + HOVER_M * UP)[None], quat_wxyz=quat, speed_m_s=FREE_SPEED_M_S)
-
-
-def _down(place: F64, quat: F64, speed_m_s: float, *, hold_s: float = 0.0) -> Leg:
-    return Leg(points=place[None], quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=hold_s)
-
-
-def _up(skin: F64, quat: F64) -> Leg:
-    return Leg(points=(skin + HOVER_M * UP)[None], quat_wxyz=quat, speed_m_s=NEAR_SPEED_M_S)
-
-
-# The options that a language backend chooses from: every primitive, key point, side, depth and speed within reach.
 
 
 class PlanningFailure(ContractError):
@@ -249,14 +218,12 @@ def candidates(
 ) -> list[Candidate]:
     """Return all options that the arm reaches in comfort and whose way stays inside the workspace, in a fixed order.
 
+    Raises PlanningFailure if there is none.
+
     Args:
-        geometry: the region as it was seen.
         start_pose: (7,) pose of the parked tool in base, position [m] and quat_wxyz.
         travel_height_m: height in base at which the tool moves level over the person [m].
         bounds: the session's limits; None leaves the workspace unlimited.
-
-    Raises:
-        PlanningFailure: no option is in reach and inside the workspace.
     """
     found = [
         Candidate(option=option, legs=legs)
@@ -274,33 +241,23 @@ def candidates(
 
 def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
     for key, depth, speed in product(TOUCH_KEY_POINTS, TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
-        option = Option(primitive="touch", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
-        yield option, touch(geometry, key_point=key, depth_m=depth, speed_m_s=speed)
+        motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
+        yield Option(primitive="touch", approach="above", **motion), touch(geometry, **motion)
     for key, depth, speed in product(SCRUB_KEY_POINTS, SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S):
-        option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
-        yield option, scrub(geometry, key_point=key, depth_m=depth, speed_m_s=speed)
+        motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
+        yield Option(primitive="scrub", approach="above", **motion), scrub(geometry, **motion)
     support = geometry.support_height_m
     if not REGIONS[geometry.region].sided or support is None:  # the trunk is not pushed aside
         return
     sides = ("near_side", "far_side")
     for side, key, depth, speed in product(sides, PUSH_KEY_POINTS, PUSH_OVERTRAVEL_M, PUSH_SPEEDS_M_S):
-        option = Option(primitive="push", approach=side, key_point=key, depth_m=depth, speed_m_s=speed)
-        legs = push(
-            geometry,
-            key_point=key,
-            depth_m=depth,
-            speed_m_s=speed,
-            support_height_m=support,
-            towards_base=side == "near_side",
-        )
-        yield option, legs
+        motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
+        legs = push(geometry, **motion, support_height_m=support, towards_base=side == "near_side")
+        yield Option(primitive="push", approach=side, **motion), legs
 
 
 def reachable(contact: list[Leg]) -> bool:
-    """Return whether the elbow is neither folded nor straight at any point of ``contact``.
-
-    The distance from shoulder to wrist decides (SHOULDER_TO_WRIST_M).
-    """
+    """Whether the elbow is neither folded nor straight at any point of ``contact``, by SHOULDER_TO_WRIST_M."""
     nearest, farthest = SHOULDER_TO_WRIST_M
     shoulder = np.array([0.0, 0.0, SHOULDER_HEIGHT_M])
     for leg in contact:
@@ -323,8 +280,6 @@ def _inside(legs: list[Leg], bounds: ActionBounds | None) -> bool:
     return all(bool(((leg.points >= low) & (leg.points <= high)).all()) for leg in legs)
 
 
-# The state machine as a policy: it takes one observation and returns one open-loop plan.
-
 CAMERA = "overhead"
 logger = logging.getLogger(__name__)
 
@@ -336,15 +291,15 @@ class StateMachine:
     """
 
     def __init__(self, *, language: str | LanguageBackend = Rules.name, record: Path | None = None) -> None:
-        """
-        Args:
-            language: rules-v1, replay:FILE.jsonl, live:MODEL, or the backend itself, which reads the instruction and
-                chooses.
-            record: file to which the completions of a live model are added.
+        """``language``: rules-v1, replay:FILE.jsonl, live:MODEL, or the backend itself; ``record``: file to which the
+        completions of a live model are added.
 
         Raises ConfigError for a language that cannot be read, DependencyError for live without its package.
         """
-        self._language = _backend(language, record) if isinstance(language, str) else language
+        if isinstance(language, str):
+            transcript = transcript_of(language, record=record)
+            language = Rules() if transcript is None else LanguageModel(transcript)
+        self._language = language
         self.card = PolicyCard(
             name="state-machine",
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
@@ -369,44 +324,34 @@ class StateMachine:
         """Return the whole plan as one chunk of at most MAX_CHUNK actions, of which the last one ends the trial."""
         try:
             chosen = self.choose(observation)
-            poses = list(sample(chosen.legs, observation.pose_tcp_in_base, control_hz=CONTROL_HZ))
-            if len(poses) > MAX_CHUNK:
-                raise PlanningFailure(f"the plan has {len(poses)} actions; a chunk holds at most {MAX_CHUNK}")
+            actions = chunk(chosen.legs, observation.pose_tcp_in_base)
+            if len(actions) > MAX_CHUNK:
+                raise PlanningFailure(f"the plan has {len(actions)} actions; a chunk holds at most {MAX_CHUNK}")
         except ContractError as error:
             logger.warning("The state machine ends the trial without touching: %s", error)
             self._notes["ended_without_touching"] = str(error)
             return [Action(done=True)]
-        return [Action(pose_tcp_in_base=pose, done=k == len(poses) - 1) for k, pose in enumerate(poses)]
+        return actions
 
     def choose(self, observation: Observation) -> Candidate:
         """Return the motion that the language backend chooses for what is seen.
 
-        Raises:
-            PerceptionFailure: the region is not found in the observation.
-            PlanningFailure: the arm reaches no place of the region.
-            ContractError: ``reset`` was not called before.
+        Raises PerceptionFailure if the region is not found, and PlanningFailure if the arm reaches no place of it.
         """
-        intent = self._intent
+        intent, view, start = self._intent, observation.cameras[CAMERA], observation.pose_tcp_in_base
         if intent is None:
             raise ContractError("act() was called before reset()")
         side = "right" if intent.side == "none" else intent.side
         geometry = region_from_observation(observation, intent.region, side=side, camera=CAMERA)
-        height = travel_height(
-            person_points(observation.cameras[CAMERA]), observation.pose_tcp_in_base, geometry.centre_m
-        )
-        options = candidates(
-            geometry, start_pose=observation.pose_tcp_in_base, travel_height_m=height, bounds=self._bounds
-        )
-        view = observation.cameras[CAMERA]
+        height = travel_height(person_points(view), start, geometry.centre_m)
+        options = candidates(geometry, start_pose=start, travel_height_m=height, bounds=self._bounds)
         self._notes |= {"method": self.card.name, "camera": CAMERA, "intent": intent.model_dump()}
-        self._notes["options"] = [
-            asdict(candidate.option)
-            | {
-                "corners_m": candidate.corners_m.round(4).tolist(),
-                "corners_px": pixels(candidate.corners_m, view.intrinsics, view.pose_camera_in_base).round(1).tolist(),
-            }
-            for candidate in options
-        ]
+        noted: list[dict[str, object]] = []
+        for candidate in options:
+            corners, seen = candidate.corners_m, (view.intrinsics, view.pose_camera_in_base)
+            places = {"corners_m": corners.round(4).tolist(), "corners_px": pixels(corners, *seen).round(1).tolist()}
+            noted.append(asdict(candidate.option) | places)
+        self._notes["options"] = noted
         index = self._language.choose(intent, [option.option for option in options])
         self._notes["chosen"] = index
         logger.info("The state machine chose %s of %d options", options[index].option, len(options))
@@ -417,8 +362,3 @@ class StateMachine:
         calls, notes = self._language.take_calls(), self._notes
         self._notes = {}
         return notes | ({"language": calls} if calls else {})
-
-
-def _backend(language: str, record: Path | None) -> LanguageBackend:
-    transcript = transcript_of(language, record=record)
-    return Rules() if transcript is None else LanguageModel(transcript)

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any, get_args
 from pydantic import BaseModel
 
 from carecontact.errors import counted, did_you_mean
-from carecontact.protocol.gates import BEHAVIOURS, Gates
+from carecontact.protocol.gates import ACTIONS, Gates
 from carecontact.protocol.protocol import Protocol
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
-
-# Says what is wrong with a field of a file, without words of pydantic, which checks it.
 
 WORDS = {
     "missing": "missing; give it a value",
@@ -32,95 +30,16 @@ WORDS = {
     "string_too_short": "expected at least {min_length} characters",
     "string_too_long": "expected at most {max_length} characters",
     "string_pattern_mismatch": "expected letters, digits, - and _ alone ({pattern})",
-    "model_type": "expected a table",
-    "model_attributes_type": "expected a table",
-    "dict_type": "expected a table",
-    "tuple_type": "expected a list in brackets",
-    "list_type": "expected a list in brackets",
+    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), "expected a table"),
+    **dict.fromkeys(("tuple_type", "list_type"), "expected a list in brackets"),
     "string_type": "expected text in quotes",
-    "bool_type": "expected true or false",
-    "bool_parsing": "expected true or false",
-    "int_type": "expected a whole number",
-    "int_parsing": "expected a whole number",
-    "int_from_float": "expected a whole number",
-    "float_type": "expected a number",
-    "float_parsing": "expected a number",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "expected true or false"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "expected a whole number"),
+    **dict.fromkeys(("float_type", "float_parsing"), "expected a number"),
 }
 """Type of an error of pydantic -> the sentence for it; names in braces are filled in from the error's context."""
-
-
 WRITTEN = ("level", "overrides")
 """Fields of a protocol that carecontact fills in and a file must not give."""
-
-
-def words(found: Mapping[str, Any], model: type[BaseModel] | None, content: object = None) -> str:
-    """Return one error as a sentence, without the name of its field.
-
-    Args:
-        found: as ``ValidationError.errors`` lists it.
-        model: of the whole file; with it an unknown field names those that its table has.
-        content: of the whole file, whose version of the gates says which fields these have.
-    """
-    kind, context = found["type"], found.get("ctx", {})
-    if kind == "extra_forbidden":
-        table, valid = _place(found["loc"][:-1]), _fields(model, found["loc"][:-1], content)
-        meant = did_you_mean(str(found["loc"][-1]), valid)
-        return f"no such field in {table}{meant}" + (f"; valid: {', '.join(valid)}" if valid else "")
-    if kind in WORDS:
-        return WORDS[kind].format(**context)
-    return str(found["msg"]).removeprefix("Value error, ")
-
-
-def field_path(loc: Sequence[int | str], content: object) -> str:
-    """``tasks.T1.action`` for the first of the file's tasks; an entry without an id is named by its number from 1."""
-    parts: list[str] = []
-    for part in loc:
-        inside: Any = None
-        if isinstance(content, Mapping):
-            inside = content.get(part)
-        elif isinstance(content, list) and isinstance(part, int) and part < len(content):
-            inside = content[part]
-        if isinstance(part, int):
-            own = inside.get("id") if isinstance(inside, Mapping) else None
-            parts.append(own if isinstance(own, str) else str(part + 1))
-        else:
-            parts.append(part)
-        content = inside
-    return ".".join(parts)
-
-
-def _place(loc: Sequence[int | str]) -> str:
-    named = [part for part in loc if isinstance(part, str)]
-    return f"the table {'.'.join(named)}" if named else "the file"
-
-
-def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: object) -> list[str]:
-    """Return names of the fields of the table at a place; none where the place is not a table of fixed fields."""
-    if model is Protocol and not loc:
-        return ["base", *(name for name in Protocol.model_fields if name not in WRITTEN)]
-    here: Any = model
-    for part in loc:
-        if isinstance(part, int) and isinstance(here, type) and issubclass(here, BaseModel):
-            continue  # an entry of the list whose tables were found with its name
-        if here is Gates:
-            here = BEHAVIOURS[str(part)].under(_gate_set(content)).gate if part in BEHAVIOURS else None
-        elif isinstance(here, type) and issubclass(here, BaseModel):
-            field = here.model_fields.get(str(part))
-            here = None if field is None else field.annotation
-        inner = [kind for kind in get_args(here) if kind not in (NoneType, Ellipsis)]
-        tables = [kind for kind in inner if isinstance(kind, type) and issubclass(kind, BaseModel)]
-        if isinstance(part, int) or (tables and not isinstance(here, type)):
-            here = tables[0] if tables else None
-    return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []
-
-
-def _gate_set(content: object) -> str:
-    gates: Any = content.get("gates") if isinstance(content, Mapping) else None
-    return str(gates.get("set")) if isinstance(gates, Mapping) else ""
-
-
-# Lists the mistakes in a user's TOML file or option, field by field.
-
 INPUT_CHARACTERS = 80
 
 
@@ -161,18 +80,67 @@ def _is_left_out(found: ErrorDetails) -> bool:
 
 
 def faults(error: ValidationError, *, model: type[BaseModel] | None = None, content: object = None) -> list[str]:
-    """Return one line for each wrong field; a value is shown where it is one, not the table around a field that is
-    missing.
+    """Return one line for each wrong field, without words of pydantic. A value is shown where it is one, not the table
+    around a field that is missing.
 
     Args:
         model: what was expected; with it an unknown field lists those that exist.
-        content: what was checked; with it a task is named by its id.
+        content: what was checked; with it a task is named by its id, and the version of the gates gives their fields.
     """
     lines: list[str] = []
     for found in error.errors():
-        value, where = found["input"], field_path(found["loc"], content)
+        value, where, kind = found["input"], field_path(found["loc"], content), found["type"]
         shown = "" if isinstance(value, dict | list | tuple) else f" (got {str(value)[:INPUT_CHARACTERS]})"
-        said = words(found, model, content)
+        if kind == "extra_forbidden":
+            fault = _unknown(found["loc"], model, content)
+        elif kind in WORDS:
+            fault = WORDS[kind].format(**found.get("ctx", {}))
+        else:
+            fault = str(found["msg"]).removeprefix("Value error, ")
         # A check over several fields names its field in the message.
-        lines.append(f"{where}: {said}{shown}" if where else said)
+        lines.append(f"{where}: {fault}{shown}" if where else fault)
     return lines
+
+
+def _unknown(loc: Sequence[int | str], model: type[BaseModel] | None, content: object) -> str:
+    names, valid = [part for part in loc[:-1] if isinstance(part, str)], _fields(model, loc[:-1], content)
+    table = f"the table {'.'.join(names)}" if names else "the file"
+    listed = f"; valid: {', '.join(valid)}" if valid else ""
+    return f"no such field in {table}{did_you_mean(str(loc[-1]), valid)}{listed}"
+
+
+def field_path(loc: Sequence[int | str], content: object) -> str:
+    """``tasks.T1.action`` for the first of the file's tasks; an entry without an id is named by its number from 1."""
+    parts: list[str] = []
+    for part in loc:
+        inside: Any = None
+        if isinstance(content, Mapping):
+            inside = content.get(part)
+        elif isinstance(content, list) and isinstance(part, int) and part < len(content):
+            inside = content[part]
+        own = inside.get("id") if isinstance(inside, Mapping) and isinstance(part, int) else None
+        parts.append(own if isinstance(own, str) else str(part + 1) if isinstance(part, int) else part)
+        content = inside
+    return ".".join(parts)
+
+
+def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: object) -> list[str]:
+    """Return names of the fields of the table at a place; none where the place is not a table of fixed fields."""
+    if model is Protocol and not loc:
+        return ["base", *(name for name in Protocol.model_fields if name not in WRITTEN)]
+    gates: Any = content.get("gates") if isinstance(content, Mapping) else None
+    chosen = str(gates.get("set")) if isinstance(gates, Mapping) else ""
+    here: Any = model
+    for part in loc:
+        if isinstance(part, int) and isinstance(here, type) and issubclass(here, BaseModel):
+            continue  # an entry of the list whose tables were found with its name
+        if here is Gates:
+            here = ACTIONS[str(part)].gate_in(chosen) if part in ACTIONS else None
+        elif isinstance(here, type) and issubclass(here, BaseModel):
+            field = here.model_fields.get(str(part))
+            here = None if field is None else field.annotation
+        inner = [kind for kind in get_args(here) if kind not in (NoneType, Ellipsis)]
+        tables = [kind for kind in inner if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        if isinstance(part, int) or (tables and not isinstance(here, type)):
+            here = tables[0] if tables else None
+    return list(here.model_fields) if isinstance(here, type) and issubclass(here, BaseModel) else []

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal, Protocol, Self, cast, runtime_checkable
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -39,27 +40,103 @@ def registered(registry: Registry[Any]) -> Callable[[str], str]:
     return check
 
 
-# What a trial has to achieve: one table for each action, in the schema that the action's behaviour declares.
+# What a trial has to achieve: one table for each action. The rules that judge a trial by it are in ``scoring.actions``;
+# docs/scoring.md has the reasons and sources of the values in the shipped protocols.
 
 
-@runtime_checkable
-class HasGate(Protocol):
-    """What a protocol needs of a row of BEHAVIOURS; the rest of a row is for the scorer (``scoring.behaviour``)."""
-
-    @property
-    def gate(self) -> type[Section]:
-        """Schema of the table ``[gates.<action>]``."""
-        ...
-
-    def under(self, gates: str) -> HasGate:
-        """Return the row that judges the action where ``gates.set`` is this."""
-        ...
+class TouchGate(Section):
+    duration_s: Positive
+    """Least time of uninterrupted contact [s]."""
 
 
-BEHAVIOURS: Registry[HasGate] = Registry(
-    "action", row=HasGate, expected="a Behaviour object", plural="behaviours", scan="carecontact.scoring.actions"
-)
-"""Action -> its behaviour. Other packages add rows through the entry-point group ``carecontact.behaviours``."""
+class ForceBand(Section):
+    """The range in which a gate requires the held force (``scoring.held_force``) to be."""
+
+    least_n: Positive
+    most_n: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.least_n >= self.most_n:
+            raise ValueError(f"least_n {self.least_n:g} has to be below most_n {self.most_n:g}")
+        return self
+
+
+class GentleTouchGate(ForceBand):
+    duration_s: Positive
+    """Least time of uninterrupted contact with the force in the band [s]."""
+
+
+class PressGate(Section):
+    force_n: Positive
+    """Least force, summed over the named region's segment and its neighbours, during the whole hold [N]."""
+    duration_s: Positive
+
+
+class PushGate(PressGate):
+    wrist_displacement_m: Positive
+    """Least horizontal displacement of the wrist from where it rested before the trial [m]."""
+
+
+class PushFromOnsetGate(PressGate):
+    least_wrist_m: Positive
+    """Least horizontal displacement of the wrist from where it was when the contact episode began [m]."""
+    most_wrist_m: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.least_wrist_m >= self.most_wrist_m:
+            raise ValueError(f"least_wrist_m {self.least_wrist_m:g} has to be below most_wrist_m {self.most_wrist_m:g}")
+        return self
+
+
+class ScrubGate(Section):
+    on_share: Fraction
+    """Least share of an episode's time that is in contact."""
+    stroke_m: Positive
+    """Least length of the tool's path over the skin while in contact [m]."""
+    extent_m: Positive
+    """Least length of the part of the region's axis that this path covers [m]."""
+    reversals: int
+
+
+class ScrubPassesGate(ForceBand):
+    passed_m: Positive
+    """Least length of the part of the region's axis that is passed ``passes`` times with at least ``least_n`` [m]."""
+    passes: Annotated[int, Field(ge=1)]
+    band_share: Fraction
+    """Least share of the sliding time in which the force is in the band."""
+
+
+GATES: dict[str, dict[str, type[Section]]] = {
+    "touch": {"paper": TouchGate, "exam": GentleTouchGate},
+    "push": {"paper": PushGate, "exam": PushFromOnsetGate},
+    "scrub": {"paper": ScrubGate, "exam": ScrubPassesGate},
+}
+"""Shipped action -> ``gates.set`` -> schema of the table ``[gates.<action>]``."""
+
+
+class Action(ABC):
+    """What a protocol needs to know of an action: the schema of its gate."""
+
+    @abstractmethod
+    def gate_in(self, gates: str) -> type[Section]:
+        """Return the schema of the table ``[gates.<action>]`` where ``gates.set`` is this."""
+
+
+class ShippedAction(Action):
+    def __init__(self, schemas: Mapping[str, type[Section]]) -> None:
+        self.schemas = schemas
+
+    def gate_in(self, gates: str) -> type[Section]:
+        return self.schemas.get(gates, self.schemas["paper"])
+
+
+ACTIONS: Registry[Action] = Registry("action", row=Action, expected="a Behaviour object", plural="behaviours")
+"""The actions that a task can name. Other packages add rows through the entry-point group ``carecontact.behaviours``:
+objects of ``scoring.behaviour.Behaviour``, which are loaded only for a protocol that names them."""
+for _name, _schemas in GATES.items():
+    ACTIONS.register(_name, ShippedAction(_schemas))
 
 
 def _gate(named: tuple[str, str, object]) -> Section:
@@ -67,7 +144,7 @@ def _gate(named: tuple[str, str, object]) -> Section:
     the file."""
     gates, action, table = named
     try:
-        return BEHAVIOURS[action].under(gates).gate.model_validate(table)
+        return ACTIONS[action].gate_in(gates).model_validate(table)
     except UnknownNameError as error:
         raise ValueError(str(error)) from None
 
@@ -122,8 +199,8 @@ class Gates(Section):
 
 # A task: one action on one region, and the sentence that a policy is given.
 
-ActionName = Annotated[str, AfterValidator(registered(BEHAVIOURS))]
-"""Name of a row of BEHAVIOURS."""
+ActionName = Annotated[str, AfterValidator(registered(ACTIONS))]
+"""Name of a row of ACTIONS."""
 RegionName = Annotated[str, AfterValidator(registered(REGIONS))]
 """Name of a row of ``carecontact.interface.regions.REGIONS``."""
 

@@ -15,12 +15,20 @@ from carecontact.errors import ConfigError, UnknownNameError, did_you_mean
 from carecontact.interface.regions import REGIONS, STANDARD_REGIONS
 from carecontact.protocol.field_errors import wrong_fields
 from carecontact.protocol.overrides import load_tissue_set
-from carecontact.protocol.person import Alive, Tissue
+from carecontact.protocol.person import Tissue
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Level
 
-# Finds protocol files.
-
+DEFAULT_PROTOCOL = "bathing-v3-draft"
+Table = dict[str, Any]
+OWN = ("id", "description", "frozen")
+"""Fields that are not inherited, so that every file has to state them. ``frozen`` is false where a file with a base
+does not name it."""
+LEVELS = "levels"
+OWN_OF_FILE = (*OWN, "base", "level", LEVELS, "tasks", "gates", "contact", "limits", "overrides")
+"""Fields that no level may change: the identity of the protocol, its tasks, and what counts as success."""
+ROW = {name for name, field in Tissue.model_fields.items() if field.is_required()}
+"""Fields that a row of tissue must have."""
 EARLIER = {
     "bathing-v1": "7076c1d2648cc214270a946eadef89bfea3d74bf",
     "bathing-moved-v1": "5eab211a09649f150689eb92f0bf99efe21019bb",
@@ -37,11 +45,8 @@ def shipped_protocols() -> list[str]:
 
 
 def protocol_file(name_or_path: str) -> Path:
-    """Return the file of a shipped protocol, or the TOML file itself.
-
-    Raises UnknownNameError for a name that is neither, or ConfigError for a file that is missing and for a protocol of
-    an earlier release.
-    """
+    """Return the file of a shipped protocol, or the TOML file itself. Raises UnknownNameError, or ConfigError for a
+    file that is missing and for a protocol of an earlier release."""
     if commit := EARLIER.get(name_or_path):
         raise ConfigError(
             f"no protocol named {name_or_path!r}: commit {commit} has it, and reproduces its results; valid here: "
@@ -58,22 +63,13 @@ def protocol_file(name_or_path: str) -> Path:
     return Path(name_or_path)
 
 
-# Inheritance of protocol files: a file may name a ``base`` and state only what differs from it.
-
-Table = dict[str, Any]
-
-OWN = ("id", "description", "frozen")
-"""Fields that are not inherited, so that every file has to state them. ``frozen`` is false where a file with a base
-does not name it."""
+# Inheritance: a file may name a ``base`` and state only what differs from it.
 
 
 def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[str, Table]]:
-    """Return the files that a protocol is made of, each with its place and its own table, the first base first.
-
-    A ``base`` is the id of a shipped protocol, or a file relative to the one that names it. Raises UnknownNameError, or
-    ConfigError naming the file and what is wrong with it.
-    """
-    path = protocol_file(name_or_path)
+    """Return the files that a protocol is made of, each with its place and its own table, the first base first. A
+    ``base`` is the id of a shipped protocol, or a file relative to the one that names it."""
+    path, shipped = protocol_file(name_or_path), shipped_protocols()
     try:
         table = tomllib.loads(path.read_bytes().decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -85,10 +81,10 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
         raise ConfigError(f"{name_or_path}: base: expected the id of a protocol or a .toml file, got {base!s:.80}")
     if base.endswith(".toml"):
         base = str(path.parent / base)
-    elif base not in shipped_protocols() and base not in EARLIER:
-        valid = ", ".join([*shipped_protocols(), "FILE.toml"])
+    elif base not in (*shipped, *EARLIER):
+        meant = did_you_mean(base, shipped)
         raise ConfigError(
-            f"{name_or_path}: base: no protocol named {base!r}{did_you_mean(base, shipped_protocols())}; valid: {valid}"
+            f"{name_or_path}: base: no protocol named {base!r}{meant}; valid: {', '.join(shipped)}, FILE.toml"
         )
     line = (*heirs, str(path.resolve()))
     try:
@@ -123,21 +119,14 @@ def merged(base: Table, own: Table) -> Table:
     return out
 
 
-# Levels of a protocol file: tables ``[levels.NAME]`` that state what changes from one level to the next.
+# Levels: tables ``[levels.NAME]`` that state what changes from one level to the next.
 #
 # The first level is the file without its levels, with the first table over it; every other level is the one before it,
 # with its own table over that. A person of a seed is the same on all levels, so each level knows what the others draw.
 
-LEVELS = "levels"
-OWN_OF_FILE = (*OWN, "base", "level", LEVELS, "tasks", "gates", "contact", "limits", "overrides")
-"""Fields that no level may change: the identity of the protocol, its tasks, and what counts as success."""
-
 
 def split(place: str, table: Table) -> tuple[Table, dict[str, Table]]:
-    """Split the table of a file into the table without levels and the tables of the levels.
-
-    Raises ConfigError naming the table that is not one, or a field in it that no level can change.
-    """
+    """Split the table of a file into the table without levels and the tables of the levels."""
     levels = table.get(LEVELS, {})
     rest = {name: value for name, value in table.items() if name != LEVELS}
     if not isinstance(levels, Mapping):
@@ -163,55 +152,27 @@ def tables(rest: Table, levels: Mapping[str, Table]) -> dict[str, Table]:
     return out
 
 
-def knowing_each_other(found: Mapping[str, Protocol]) -> dict[str, Protocol]:
-    """Return every level with its name and with what all of them draw."""
-    shared = {
-        name: Level(variation=rules.variation, reposition_m=_farthest_m(rules.person.alive))
-        for name, rules in found.items()
-    }
-    return {name: rules.model_copy(update={"level": name, LEVELS: shared}) for name, rules in found.items()}
-
-
-def chosen(place: str, found: Mapping[str, Any], level: str | None) -> str:
-    """Return the name of a level that a file has. Raises ConfigError, which lists them, for none and for another."""
-    valid = ", ".join(found)
-    if level is None:
-        raise ConfigError(f"{place} has the levels {valid}; choose one with level")
-    if level not in found:
-        raise ConfigError(f"{place}: no level named {level!r}{did_you_mean(level, found)}; valid: {valid}")
-    return level
-
-
-def _farthest_m(alive: Alive) -> float:
-    return 0.0 if alive.repositioning is None else alive.repositioning.wrist_m[1]
-
-
-# Load a protocol: one that ships, or a file, which may inherit from another.
-
-DEFAULT_PROTOCOL = "bathing-v3-draft"
-ROW = {name for name, field in Tissue.model_fields.items() if field.is_required()}
-"""Fields that a row of tissue must have."""
-
-
 def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = None) -> Protocol:
-    """Return a shipped protocol by id, or a TOML file by path; docs/extending.md says how a file inherits.
-
-    Args:
-        level: one of the file's levels, where it has any (``protocols.levels``).
+    """Return a shipped protocol by id, or a TOML file by path, at one of the file's levels, where it has any;
+    docs/extending.md describes how a file inherits.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
     found = load_levels(name_or_path)
+    valid = ", ".join(found)
     if list(found) == [""]:
         if level is not None:
             raise ConfigError(f"{name_or_path} has no levels; leave level {level!r} out")
         return found[""]
-    return found[chosen(name_or_path, found, level)]
+    if level is None:
+        raise ConfigError(f"{name_or_path} has the levels {valid}; choose one with level")
+    if level not in found:
+        raise ConfigError(f"{name_or_path}: no level named {level!r}{did_you_mean(level, found)}; valid: {valid}")
+    return found[level]
 
 
 def load_levels(name_or_path: str) -> dict[str, Protocol]:
-    """Return every level of a protocol by its name, or the protocol alone, named ``""``, where it has no levels. Raises
-    as ``load_protocol`` does."""
+    """Return every level of a protocol by its name, or the protocol alone, named ``""``, where it has no levels."""
     (place, table), *heirs = ancestry(name_or_path)
     found = _of_table(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
     for heir, own in heirs:
@@ -221,7 +182,6 @@ def load_levels(name_or_path: str) -> dict[str, Protocol]:
 
 
 def _of_table(place: str, table: Table, *, bases: Sequence[str] = ()) -> dict[str, Protocol]:
-    """``bases``: see ``wrong_fields``."""
     rest, own = split(place, table)
     if rest.get("overrides"):
         raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
@@ -229,13 +189,16 @@ def _of_table(place: str, table: Table, *, bases: Sequence[str] = ()) -> dict[st
         raise ConfigError(f"{place}: level: a file has the tables [levels.NAME], and who loads it chooses one")
     if not own:
         return {"": _validated(place, rest, bases=bases)}
-    whole = tables(rest, own)
-    return knowing_each_other({name: _validated(f"{place}, level {name}", t) for name, t in whole.items()})
+    found = {name: _validated(f"{place}, level {name}", whole) for name, whole in tables(rest, own).items()}
+    shared: dict[str, Level] = {}
+    for name, rules in found.items():
+        moves = rules.person.alive.repositioning
+        shared[name] = Level(variation=rules.variation, reposition_m=0.0 if moves is None else moves.wrist_m[1])
+    return {name: rules.model_copy(update={"level": name, LEVELS: shared}) for name, rules in found.items()}
 
 
 def merged_table(name_or_path: str) -> Table:
-    """Return the table of a protocol's file over those of its bases, before anything is checked. Raises as
-    ``ancestry``."""
+    """Return the table of a protocol's file over those of its bases, before anything is checked."""
     (_, table), *heirs = ancestry(name_or_path)
     for _, own in heirs:
         table = inherit(table, own)
@@ -243,13 +206,11 @@ def merged_table(name_or_path: str) -> Table:
 
 
 def _validated(place: str, table: Table, *, bases: Sequence[str] = ()) -> Protocol:
-    """``bases``: see ``wrong_fields``."""
     content = _with_neighbourhoods(_with_tissue(place, table))
     try:
         return Protocol.model_validate(content)
     except ValidationError as error:
-        told = wrong_fields(place, error, model=Protocol, content=content, bases=bases)
-        raise ConfigError(told) from None
+        raise ConfigError(wrong_fields(place, error, model=Protocol, content=content, bases=bases)) from None
 
 
 def _with_tissue(place: str, table: Table) -> Table:
@@ -260,7 +221,7 @@ def _with_tissue(place: str, table: Table) -> Table:
     own = person.get("tissue", {})
     soft = [name for name in (*STANDARD_REGIONS, *_task_regions(table)) if REGIONS[name].soft]
     # A file that spells out every row may give its set any name.
-    if not isinstance(own, dict) or all(_is_whole(own.get(name)) for name in soft):
+    if not isinstance(own, dict) or all(isinstance(own.get(name), dict) and own[name].keys() >= ROW for name in soft):
         return table
     try:
         rows = load_tissue_set(person["tissue_set"]).tissue
@@ -268,10 +229,6 @@ def _with_tissue(place: str, table: Table) -> Table:
         raise ConfigError(f"{place}: person.tissue_set: {error}") from None
     taken = {name: rows[name].model_dump() for name in soft if name in rows}
     return {**table, "person": {**person, "tissue": merged(taken, own)}}
-
-
-def _is_whole(row: object) -> bool:
-    return isinstance(row, dict) and row.keys() >= ROW
 
 
 def _with_neighbourhoods(table: Table) -> Table:
@@ -287,22 +244,20 @@ def _with_neighbourhoods(table: Table) -> Table:
 def _task_regions(table: Table) -> list[str]:
     """Registered regions of the file's tasks; what is not of the expected form is left for the schema to report."""
     tasks = table.get("tasks")
-    named = [task.get("region") for task in tasks if isinstance(task, dict)] if isinstance(tasks, list) else []
+    named = [task.get("region") for task in (tasks if isinstance(tasks, list) else []) if isinstance(task, dict)]
     return list(dict.fromkeys(name for name in named if isinstance(name, str) and name in REGIONS))
 
 
-# Write the table of a protocol as TOML; the standard library only reads it.
-
-TomlTable = Mapping[str, Any]
+# Writing TOML, which the standard library only reads.
 
 
-def toml_text(table: TomlTable) -> str:
+def toml_text(table: Mapping[str, Any]) -> str:
     """TOML that reads back as this table, with the values of each table before the tables inside it. A value that is
     None is left out: TOML has no word for it, and for a field it means that the file does not give it."""
     return "\n".join(_lines(table, ())).strip() + "\n"
 
 
-def _lines(table: TomlTable, place: tuple[str, ...]) -> list[str]:
+def _lines(table: Mapping[str, Any], place: tuple[str, ...]) -> list[str]:
     given = {name: value for name, value in table.items() if value is not None}
     lines = [f"{_key(name)} = {_value(value)}" for name, value in given.items() if not _has_own_head(value)]
     for name, value in given.items():

@@ -34,8 +34,7 @@ class Lock(Section):
 
 
 def lock_path(name_or_path: str, *, level: str = "") -> Path:
-    """Return the path of the lock: beside the protocol's file, one for each of its levels. Raises what
-    ``protocol_file`` raises."""
+    """Return the path of the lock: beside the protocol's file, one for each of its levels."""
     path = protocol_file(name_or_path)
     return path.with_name(path.name.removesuffix(".toml") + (f".{level}" if level else "") + SUFFIX)
 
@@ -55,8 +54,6 @@ def read_lock(name_or_path: str, *, level: str = "") -> Lock | None:
 def write_lock(lock: Lock, path: Path) -> None:
     path.write_text(json.dumps(lock.model_dump(mode="json"), indent=1, sort_keys=True) + "\n", encoding="ascii")
 
-
-# Whether the protocol of a recording is the one that was frozen under its id; needs no simulator.
 
 DRIFTED = "lock"
 """The override that marks a run on a protocol that differs from its lock."""
@@ -80,11 +77,8 @@ def frozen_state(protocol: Protocol) -> str:
 
 
 def drifted_sha256(protocol_id: str, sha256: str) -> str | None:
-    """Return what is wrong with a protocol without overrides of which only name and hash are known; None where nothing
-    is.
-
-    ``protocol_id``: with the level, as results name it.
-    """
+    """Return how a protocol without overrides differs from its lock, by its name with the level, as results have it,
+    and its hash; None where it does not."""
     own_id, _, level = protocol_id.partition(" ")
     lock = read_lock(own_id, level=level) if own_id in shipped_protocols() else None
     if lock is None or lock.protocol_sha256 == sha256:

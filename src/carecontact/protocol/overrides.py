@@ -19,12 +19,11 @@ from carecontact.protocol.field_errors import faults, wrong_fields
 from carecontact.protocol.gates import FileStem, RegionName, Section
 from carecontact.protocol.person import Tissue
 from carecontact.protocol.protocol import Protocol
-from carecontact.protocol.sections import Vision
-
-# Named sets of tissue laws: one TOML file each, a row per soft region; a protocol names one.
 
 
 class TissueSet(Section):
+    """Tissue laws, one row for each soft region, in a TOML file of their own; a protocol names a set."""
+
     id: FileStem
     description: str
     base: str | None = None
@@ -44,34 +43,31 @@ def shipped_tissue_sets() -> list[str]:
 
 
 def load_tissue_set(*names_or_paths: str) -> TissueSet:
-    """Return a shipped set by id, or a TOML file by path; regions that it leaves out come from its base.
-
-    Of several, every one gives its own rows, and they need one base for the regions of which none has a row.
-
-    Raises UnknownNameError, or ConfigError naming file, field and what was expected.
-    """
+    """Return a shipped set by id, or a TOML file by path; regions that it leaves out come from its base. Of several,
+    every one gives its own rows, and they need one base for the regions of which none has a row."""
     sets = {name: _read(name) for name in names_or_paths}
     rows, owner = dict[str, Tissue](), dict[str, str]()
     for name, made in sets.items():
-        for region, row in made.tissue.items():
-            if region in owner:
+        for region in made.tissue:
+            if owner.setdefault(region, name) != name:
                 raise ConfigError(
                     f"tissue sets {owner[region]} and {name} both have a row for the {region}; give only one of them"
                 )
-            rows[region], owner[region] = row, name
+        rows |= made.tissue
     missing = [region for region in STANDARD_REGIONS if region not in rows]
     bases = sorted({made.base for made in sets.values() if made.base is not None})
-    told = f"tissue set{'s' * (len(sets) > 1)} {' and '.join(sets)}"
+    place, valid = f"tissue set {' and '.join(sets)}", ", ".join(shipped_tissue_sets())
     if missing and len(bases) != 1:
-        hint = f"add base = one of {', '.join(shipped_tissue_sets())}, whose rows then serve"
+        hint = f"add base = one of {valid}, whose rows then serve"
         if bases:
             hint = f"their bases differ ({', '.join(bases)}); give them one"
-        raise ConfigError(f"{told}: no row for {', '.join(missing)}; {hint}")
+        raise ConfigError(f"{place}: no row for {', '.join(missing)}; {hint}")
     for base in bases:
         if base not in shipped_tissue_sets():
-            raise ConfigError(f"{told}: base {base!r}; valid: {', '.join(shipped_tissue_sets())}")
-        rows = {**_read(base).tissue, **rows} if base == bases[0] else rows
-    first = next(iter(sets.values()))
+            raise ConfigError(f"{place}: base {base!r}; valid: {valid}")
+    if bases:
+        rows = {**_read(bases[0]).tissue, **rows}
+    first, *_ = sets.values()
     return first.model_copy(update={"id": "+".join(made.id for made in sets.values()), "tissue": rows})
 
 
@@ -110,15 +106,13 @@ def _read(name_or_path: str) -> TissueSet:
     return made
 
 
-# Replace fields of a loaded protocol by their dotted paths, record the replacements in it, and undo them.
+# Single fields of a loaded protocol, by their dotted paths: replaced, recorded in it, and restored.
 
 BODIES = "variation.bodies"
 """If the user chooses a body, the seed draws none."""
 FAST_DT_S = 0.004
-"""The fast mode's physics step; ``carecontact validate`` shows what it does to the scores."""
-FOLLOWS = {
-    "person.tissue": "person.tissue_set", "vision.weights_sha256": "vision.segmenter", BODIES: "person.body"
-}  # fmt: skip
+"""The fast mode's physics step; ``carecontact verify physics`` shows what it does to the scores."""
+FOLLOWS = {"person.tissue": "person.tissue_set", "vision.weights_sha256": "vision.segmenter", BODIES: "person.body"}
 """Path -> the path together with which it is replaced, recorded and restored."""
 NOT_REPLACEABLE = ("id", "description", "frozen", "level", "levels", "overrides")
 """Fields that identify a protocol. The id stays, because the seeds' random numbers come from it, so that trials are
@@ -126,17 +120,13 @@ paired over what is replaced."""
 
 
 def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
-    """Return a copy with these fields replaced and ``overrides`` saying so: another sha256, the same id.
-
-    A field that has the wanted value already is not an override.
+    """Return a copy with these fields replaced, of which ``overrides`` tells: another sha256, the same id. A field that
+    has the wanted value already is not an override.
 
     Args:
         changes: dotted path -> value. Text is converted to the field's type, as TOML is read; a task is named by its
             id (``tasks.T1.prompt``). ``person.tissue_set`` is a shipped set or a TOML file, or several of them, and its
             rows come with it.
-
-    Raises UnknownNameError for a tissue set, ConfigError for a path that does not exist, which names the valid ones at
-    that level, and for a value that does not fit.
     """
     content = cast("dict[str, Any]", _plain(protocol))
     wanted = _with_rows(protocol, changes)
@@ -156,19 +146,17 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
         raise ConfigError(
             f"{protocol.id} with {given}: {'; '.join(faults(error, model=Protocol, content=content))}"
         ) from None
-    said = dict(protocol.overrides)
+    overrides = dict(protocol.overrides)
     for path in changed:
         leader = path if path == BODIES and BODIES in changes else FOLLOWS.get(path, path)
-        said = {old: value for old, value in said.items() if not old.startswith(f"{path}.")}
-        said[leader] = _spelled(made, leader)
-    return made.model_copy(update={"overrides": said})
+        overrides = {old: value for old, value in overrides.items() if not old.startswith(f"{path}.")}
+        overrides[leader] = _spelled(made, leader)
+    return made.model_copy(update={"overrides": overrides})
 
 
 def without_overrides(protocol: Protocol, original: Protocol) -> Protocol:
     """Return a copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced.
-
-    A recorded path that ``original`` does not have stays as it is.
-    """
+    A recorded path that ``original`` does not have stays."""
     for leader in protocol.overrides:
         for path in (leader, *(path for path, other in FOLLOWS.items() if other == leader)):
             parts = path.split(".")
@@ -211,8 +199,7 @@ def _converted(value: object, now: object) -> object:
 def _spelled(protocol: Protocol, path: str) -> str:
     """Return the new value as titles and recordings show it."""
     if path == "vision.segmenter":
-        vision: Vision = protocol.vision
-        return f"{vision.segmenter} {vision.weights_sha256[:12]}".strip()
+        return f"{protocol.vision.segmenter} {protocol.vision.weights_sha256[:12]}".strip()
     value = _plain(_at(protocol, path.split("."), path))
     if isinstance(value, float):
         return f"{value:g}"
@@ -263,12 +250,10 @@ def _with(node: Any, parts: Sequence[str], value: object) -> Any:
     return {**node, name: child}
 
 
-# Named states of the skin, each with its coefficient of friction against the tool and the source of that value.
-
-
 @dataclass(frozen=True, kw_only=True)
 class SkinState:
     coefficient: float
+    """Of friction against the tool."""
     source: str
 
 
@@ -291,20 +276,12 @@ SKIN_STATES = {
 
 
 def friction_changes(rules: Protocol, friction: str) -> dict[str, object]:
-    """Return fields of ``rules`` that give all of its soft regions one coefficient, as ``overridden`` takes them.
-
-    Args:
-        friction: a name of SKIN_STATES, or a number. The fields' own bounds apply to it.
-
-    Raises ConfigError for anything else.
-    """
-    if friction in SKIN_STATES:
-        value = SKIN_STATES[friction].coefficient
-    else:
-        try:
-            value = float(friction)
-        except ValueError:
-            raise ConfigError(
-                f"--friction {friction!r}: expected {', '.join(SKIN_STATES)} or a coefficient, such as 0.8"
-            ) from None
+    """Return fields of ``rules`` that give all of its soft regions one coefficient, as ``overridden`` takes them: by a
+    name of SKIN_STATES or a number, to which the fields' own bounds apply."""
+    try:
+        value = SKIN_STATES[friction].coefficient if friction in SKIN_STATES else float(friction)
+    except ValueError:
+        raise ConfigError(
+            f"--friction {friction!r}: expected {', '.join(SKIN_STATES)} or a coefficient, such as 0.8"
+        ) from None
     return {f"person.tissue.{region}.friction": value for region in rules.soft_regions}

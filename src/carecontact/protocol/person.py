@@ -98,8 +98,6 @@ class Alive(Section):
         return self.repositioning is not None or self.withdrawal is not None or self.manner != "passive"
 
 
-# Who lies on the bed, and how the soft regions answer a press.
-
 LARGEST_CONTACT = 300
 """Largest ratio of ``contact_n_m3`` to ``a_n_m3``."""
 
@@ -202,8 +200,9 @@ class Person(Section):
     @property
     def rejected_tissue(self) -> str:
         """The regions with a rejected calibration, each with the first reason for it; empty if there are none."""
-        rows = {name: row.calibration for name, row in self.tissue.items() if row.calibration is not None}
-        return "; ".join(
-            f"{name.replace('_', ' ')} ({', '.join(found.reasons[:1]) or 'no reason given'})"
-            for name, found in rows.items() if found.verdict == "rejected"
-        )  # fmt: skip
+        rejected: list[str] = []
+        for name, row in self.tissue.items():
+            if row.calibration is not None and row.calibration.verdict == "rejected":
+                reason = (*row.calibration.reasons, "")[0] or "no reason given"
+                rejected.append(f"{name.replace('_', ' ')} ({reason})")
+        return "; ".join(rejected)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Literal, Self
 
@@ -28,8 +28,6 @@ from carecontact.protocol.sections import (
     sideless,
 )
 
-# How a protocol is named for people, with everything that was replaced in it.
-
 FRICTION = "person.tissue.*.friction"
 """Stands for the friction of several regions that is the same on all of them."""
 REPLACED_WORDS = {
@@ -44,122 +42,91 @@ REPLACED_WORDS = {
 }
 """Dotted path of a replaced field -> its words; any other path stands for itself. ``lock`` is not a field: it
 stands for a run on a protocol that differs from its lock (``runs.freeze``)."""
-
-
-def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
-    """Return the id and what was replaced: ``bathing-v3-draft with body woman-old-light``."""
-    overrides = _with_one_friction(overrides)
-    replaced = [REPLACED_WORDS.get(field, f"{field} {{}}").format(value) for field, value in sorted(overrides.items())]
-    return f"{protocol_id} with {' and '.join(replaced)}" if replaced else protocol_id
-
-
-def _with_one_friction(overrides: Mapping[str, str]) -> dict[str, str]:
-    """Return the same coefficient on several regions as one replaced field."""
-    own = {path: value for path, value in overrides.items() if fnmatchcase(path, FRICTION)}
-    if len(own) < 2 or len(set(own.values())) > 1:
-        return dict(overrides)
-    return {path: value for path, value in overrides.items() if path not in own} | {FRICTION: next(iter(own.values()))}
-
-
-# Checks over several fields of a protocol; each raises ValueError, which names the field and what is expected.
-
 CAMERA_NAMES = ("overhead", "bedside", "exterior", "wrist")
 
 
-def check_tasks(tasks: Sequence[Task], gates: Gates, contact: ContactDefinition) -> None:
-    """Ids are there and differ; every action has its gate, every region its neighbourhood."""
-    ids = [task.id for task in tasks]
+def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
+    """Return the id and what was replaced: ``bathing-v3-draft with body woman-old-light``. The same coefficient of
+    friction on several regions is one replaced field."""
+    replaced = dict(overrides)
+    friction = {path: value for path, value in overrides.items() if fnmatchcase(path, FRICTION)}
+    if len(friction) > 1 and len(set(friction.values())) == 1:
+        replaced = {path: value for path, value in overrides.items() if path not in friction}
+        replaced[FRICTION] = next(iter(friction.values()))
+    words = [REPLACED_WORDS.get(path, f"{path} {{}}").format(value) for path, value in sorted(replaced.items())]
+    return f"{protocol_id} with {' and '.join(words)}" if words else protocol_id
+
+
+def _contradictions(rules: Protocol) -> Iterator[str]:
+    """What contradicts itself over several fields of a protocol: the field, and what is expected."""
+    ids = [task.id for task in rules.tasks]
     if not ids or len(set(ids)) != len(ids):
-        raise ValueError(f"tasks: expected at least one, each with an id of its own; got {ids}")
-    for task in tasks:
-        if task.action not in gates.actions:
-            raise ValueError(f"gates.{task.action}: missing, and task {task.id} needs it")
-        if task.region not in contact.neighbourhood:
-            raise ValueError(f"contact.neighbourhood.{task.region}: missing, and task {task.id} needs it")
-
-
-def check_person(person: Person, tasks: Sequence[Task]) -> None:
-    """There is one row of tissue for each soft region, and each soft region has a segment of its own."""
-    soft = [name for name in regions_of(tasks) if REGIONS[name].soft]
-    if set(person.tissue) != set(soft):
-        raise ValueError(
+        yield f"tasks: expected at least one, each with an id of its own; got {ids}"
+    for task in rules.tasks:
+        if task.action not in rules.gates.actions:
+            yield f"gates.{task.action}: missing, and task {task.id} needs it"
+        if task.region not in rules.contact.neighbourhood:
+            yield f"contact.neighbourhood.{task.region}: missing, and task {task.id} needs it"
+    soft, owner = [name for name in rules.regions if REGIONS[name].soft], dict[str, str]()
+    if set(rules.person.tissue) != set(soft):
+        yield (
             f"person.tissue: expected exactly {sorted(soft)}, the soft regions of every person and of the tasks; "
-            f"got {sorted(person.tissue)}"
+            f"got {sorted(rules.person.tissue)}"
         )
-    owner: dict[str, str] = {}
     for name in soft:
         other = owner.setdefault(REGIONS[name].segment, name)
         if other != name:
-            raise ValueError(
+            yield (
                 f"tasks: {other} and {name} are both soft regions of {REGIONS[name].segment}; "
                 "expected at most one soft region per segment"
             )
-
-
-def check_cameras(cameras: Iterable[str]) -> None:
-    if set(cameras) != set(CAMERA_NAMES):
-        raise ValueError(f"cameras: expected overhead, bedside, exterior and wrist, got {sorted(cameras)}")
-
-
-def check_vision(vision: Vision) -> None:
-    if bool(vision.weights_sha256) != (vision.segmenter == "grounded-sam"):
-        raise ValueError(
+    if set(rules.cameras) != set(CAMERA_NAMES):
+        yield f"cameras: expected overhead, bedside, exterior and wrist, got {sorted(rules.cameras)}"
+    if bool(rules.vision.weights_sha256) != (rules.vision.segmenter == "grounded-sam"):
+        yield (
             "vision.weights_sha256: expected the sha256 of the weights with segmenter grounded-sam, "
             "and an empty text with mediapipe"
         )
-
-
-def check_seeds(randomization: Randomization) -> None:
-    seeds = randomization.seeds
+    seeds, pain = rules.randomization.seeds, rules.limits.f_pain_n
     if len(set(seeds)) != len(seeds) or min(seeds, default=-1) < 0:
-        raise ValueError(f"randomization.seeds: expected distinct whole numbers >= 0, got {seeds!s:.80}")
-
-
-def check_limits(limits: ForceLimits) -> None:
-    pain = limits.f_pain_n
+        yield f"randomization.seeds: expected distinct whole numbers >= 0, got {seeds!s:.80}"
     if not pain or min(pain.values()) <= 0:
-        raise ValueError(f"limits.f_pain_n: expected at least one segment, each above 0 N, got {pain}")
-    unknown = sorted(pain.keys() - set(SEGMENT_PARTS))
-    if unknown:
-        raise ValueError(f"limits.f_pain_n: no segment {unknown[0]!r}; valid: {', '.join(SEGMENT_PARTS)}")
+        yield f"limits.f_pain_n: expected at least one segment, each above 0 N, got {pain}"
+    for unknown in sorted(pain.keys() - set(SEGMENT_PARTS)):
+        yield f"limits.f_pain_n: no segment {unknown!r}; valid: {', '.join(SEGMENT_PARTS)}"
+    yield from _disordered(rules)
+    steps = rules.physics.target_period_s / rules.physics.dt_s
+    if abs(steps - round(steps)) > 1e-9:
+        yield f"physics.target_period_s: expected a whole number of dt_s, got {steps:g} of them"
 
 
-def check_ranges(
-    *, randomization: Randomization, impedance: Impedance, scene: Scene, phases: Phases, contact: ContactDefinition
-) -> None:
-    """Low ends are below high ends, and the arm's stiffness lies between its bounds."""
+def _disordered(rules: Protocol) -> Iterator[str]:
+    """Low ends that are not below high ends, and a stiffness of the arm outside its bounds."""
+    contact, impedance, scene, phases = rules.contact, rules.impedance, rules.scene, rules.phases
     if contact.off_n >= contact.on_n:
-        raise ValueError(f"contact.off_n: expected less than on_n {contact.on_n}, got {contact.off_n}")
+        yield f"contact.off_n: expected less than on_n {contact.on_n}, got {contact.off_n}"
     ranges = {
-        "randomization.comfort_arm_deg": [randomization.comfort_arm_deg],
+        "randomization.comfort_arm_deg": [rules.randomization.comfort_arm_deg],
         "impedance.translational_bounds": [impedance.translational_bounds],
         "impedance.rotational_bounds": [impedance.rotational_bounds],
         "impedance.workspace": list(zip(impedance.workspace_low_m, impedance.workspace_high_m, strict=True)),
         "scene.board": list(zip(scene.board_low_m, scene.board_high_m, strict=True)),
         "phases.settle": [(phases.settle_min_s, phases.settle_max_s)],
     }
-    for name, pairs in ranges.items():
-        for low, high in pairs:
-            if not low < high:
-                raise ValueError(f"{name}: expected low below high, got {low} and {high}")
+    for name, low, high in ((name, *pair) for name, pairs in ranges.items() for pair in pairs):
+        if not low < high:
+            yield f"{name}: expected low below high, got {low} and {high}"
     for name, value, (low, high) in (
         ("translational_n_m", impedance.translational_n_m, impedance.translational_bounds),
         ("rotational_nm_rad", impedance.rotational_nm_rad, impedance.rotational_bounds),
     ):
         if not low <= value <= high:
-            raise ValueError(f"impedance.{name}: expected {low:g} to {high:g}, its bounds, got {value:g}")
-
-
-def check_period(physics: Physics) -> None:
-    steps = physics.target_period_s / physics.dt_s
-    if abs(steps - round(steps)) > 1e-9:
-        raise ValueError(f"physics.target_period_s: expected a whole number of dt_s, got {steps:g} of them")
-
-
-# A protocol: everything that a benchmark fixes, with a hash over all of it.
+            yield f"impedance.{name}: expected {low:g} to {high:g}, its bounds, got {value:g}"
 
 
 class Protocol(Section):
+    """Everything that a benchmark fixes, with a hash over all of it."""
+
     id: FileStem
     description: str
     frozen: bool
@@ -218,17 +185,8 @@ class Protocol(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        check_person(self.person, self.tasks)
-        check_tasks(self.tasks, self.gates, self.contact)
-        check_cameras(self.cameras)
-        check_vision(self.vision)
-        check_seeds(self.randomization)
-        check_limits(self.limits)
-        check_ranges(
-            randomization=self.randomization, impedance=self.impedance, scene=self.scene, phases=self.phases,
-            contact=self.contact,
-        )  # fmt: skip
-        check_period(self.physics)
+        for fault in _contradictions(self):
+            raise ValueError(fault)
         return self
 
     @property
@@ -241,9 +199,6 @@ class Protocol(Section):
         """Hash of the canonical JSON, so that spelling and comments in the TOML do not count."""
         content = self.model_dump(mode="json", exclude=None if self.overrides else {"overrides"})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-# The specification of one trial, as it is known before the trial runs.
 
 
 def commitment(salt: str) -> str:
@@ -270,7 +225,7 @@ class TrialSpec(BaseModel):
     determined the noise, a policy could find the seed by comparing a single reading with the noise of every published
     seed."""
     salt: str = Field(default="", repr=False)
-    """Secret of a run whose persons nobody may know beforehand: every draw of the trial depends on it. A recording
+    """Secret of a run whose persons no one may know beforehand: every draw of the trial depends on it. A recording
     never holds it, only its hash (``sealed``); empty for a run on published seeds."""
     salt_sha256: str = ""
     """Hash of the salt of a recorded trial, in base 16."""

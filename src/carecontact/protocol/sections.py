@@ -1,4 +1,4 @@
-"""The other sections of a protocol: robot, scene, physics, limits, vision, and what is drawn anew for each seed."""
+"""The other sections of a protocol: robot, scene, physics, limits, vision, and what each seed draws."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from carecontact.interface.regions import SEGMENTS
 from carecontact.interface.robot import EMBODIMENTS, ActionBounds, Robot
 from carecontact.protocol.gates import Positive, Section, Vec3, registered
-
-# Stiffness, damping and limits of the arm's controller.
 
 
 class Impedance(Section):
@@ -27,7 +26,7 @@ class Impedance(Section):
 
     @property
     def action_bounds(self) -> ActionBounds:
-        """What an action may ask for, as a policy is told before its first one."""
+        """What an action may ask for, which a policy receives before its first one."""
         return ActionBounds(
             workspace_low_m=self.workspace_low_m,
             workspace_high_m=self.workspace_high_m,
@@ -36,11 +35,12 @@ class Impedance(Section):
         )
 
 
-# Force limits of the body segments.
+def sideless(segment: str) -> str:
+    """``right_forearm`` and ``left_forearm`` -> ``forearm``."""
+    return segment.removeprefix("right_").removeprefix("left_")
 
-SEGMENT_PARTS = (
-    "pelvis", "abdomen", "thorax", "neck", "head", "upper_arm", "forearm", "hand", "thigh", "shank", "foot",
-)  # fmt: skip
+
+SEGMENT_PARTS = tuple(dict.fromkeys(map(sideless, SEGMENTS)))
 """Names that limits can be given for: the segments of a recording without their sides."""
 
 
@@ -51,14 +51,6 @@ class ForceLimits(Section):
     """gamma': the safety gate is at this share of F_pain."""
     f_pain_n: dict[str, float]
     """One of SEGMENT_PARTS -> F_pain [N]; segments not named take the strictest entry and are flagged."""
-
-
-def sideless(segment: str) -> str:
-    """``right_forearm`` and ``left_forearm`` -> ``forearm``."""
-    return segment.removeprefix("right_").removeprefix("left_")
-
-
-# Physics step, target period and the phases of a trial.
 
 
 class Physics(Section):
@@ -84,9 +76,6 @@ class Phases(Section):
     latency_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Simulated time between an observation and the first action that answers it; the last target holds meanwhile. At
     0 the world stands still while a policy computes."""
-
-
-# Bed, arm board, robot base and cameras.
 
 
 class Camera(Section):
@@ -123,11 +112,12 @@ class Scene(Section):
         return self
 
 
-# The places where the robot may stand beside the bed, and what a place must let it do.
+Spread = Annotated[float, Field(ge=0, le=0.5)]
 
 
 class BasePlacement(Section):
-    """A base is drawn, and drawn again, until it serves the task's region (``episode.parking``).
+    """Where the robot may stand beside the bed: a base is drawn, and drawn again, until it serves the task's region
+    (``episode.parking``).
 
     A base's height is against a bed that stays: a lower base is a bed raised against the robot.
     """
@@ -139,15 +129,12 @@ class BasePlacement(Section):
     centre_m: Vec3
     """World."""
     centre_yaw_deg: float
-    spread_m: tuple[Annotated[float, Field(ge=0, le=0.5)], Annotated[float, Field(ge=0, le=0.5)],
-                    Annotated[float, Field(ge=0, le=0.5)]]  # fmt: skip
+    spread_m: tuple[Spread, Spread, Spread]
     """Up to so far either way along each axis of the world."""
     spread_yaw_deg: Annotated[float, Field(ge=0, le=45)]
     tries: Annotated[int, Field(ge=1, le=10_000)] = 1000
-    """A person for whom no base serves after so many draws is drawn anew."""
+    """A person for whom no base serves after so many draws is replaced by another draw."""
 
-
-# What the seed of a trial changes.
 
 DRAWN = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m", "overhead_turn_deg",
          "parking")  # fmt: skip
@@ -221,9 +208,6 @@ class Variation(Section):
         return any(getattr(self, name) != type(self).model_fields[name].default for name in DRAWN)
 
 
-# Which model finds the person in an image.
-
-
 class Vision(Section):
     """The model that makes the masks; by default, it is the one that finds the key points."""
 
@@ -233,11 +217,8 @@ class Vision(Section):
     its own in its wheel."""
 
 
-# What the levels of one protocol file share: the persons, each of whom must suit all of them.
-
-
 class Level(Section):
-    """The fields of one level that decide whether a person suits it."""
+    """The fields of one level that decide whether a person suits it; each person must suit all levels of a file."""
 
     variation: Variation
     reposition_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0

@@ -31,8 +31,6 @@ from carecontact.recording.schema import (
     check_version,
 )
 
-# What is said where a file cannot be stored for want of space.
-
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """A full device, a quota that is used up, and a limit on the size of files."""
 REMEDY = "free some space there, then give the same command again"
@@ -46,9 +44,6 @@ def is_full(error: BaseException) -> bool:
 def no_space(place: Path, why: str | None) -> StorageError:
     """``why``: what the system says, such as "No space left on device"."""
     return StorageError(f"{place}: {why or 'no space left'}; {REMEDY}")
-
-
-# The identity of a recording: what a hash covers and in which spelling.
 
 
 def header_json(header: Header) -> bytes:
@@ -91,8 +86,6 @@ def canonical_digest(header: bytes, arrays: Mapping[str, npt.NDArray[Any]]) -> s
     return digest.hexdigest()
 
 
-# Write a trial file at once or not at all.
-
 HEADER, CHECKSUM = "header_json", "sha256"
 """Datasets of bytes at the file's root: the header, and the canonical hash of everything else."""
 TEMPORARY = ".tmp"
@@ -119,20 +112,12 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
         digest = np.frombuffer(bytes.fromhex(canonical_digest(header, recording.arrays)), np.uint8)
         file.create_dataset(CHECKSUM, data=digest, fletcher32=True)
         for name in sorted(recording.arrays):
-            array = little_endian(recording.arrays[name])
+            array, more = little_endian(recording.arrays[name]), {}
             if array.nbytes >= CHUNKED_FROM_BYTES:
-                chunks = (max(1, min(len(array), CHUNK_BYTES // max(1, array[0].nbytes))), *array.shape[1:])
-                file.create_dataset(
-                    name,
-                    data=array,
-                    chunks=chunks,
-                    compression="gzip",
-                    compression_opts=GZIP_LEVEL,
-                    shuffle=True,
-                    fletcher32=True,
-                )
-            else:
-                file.create_dataset(name, data=array)
+                rows = max(1, min(len(array), CHUNK_BYTES // max(1, array[0].nbytes)))
+                more = {"chunks": (rows, *array.shape[1:]), "compression": "gzip", "compression_opts": GZIP_LEVEL}
+                more |= {"shuffle": True, "fletcher32": True}
+            file.create_dataset(name, data=array, **more)
         file.flush()
         image: bytes = file.id.get_file_image()
     replace_file(path, image)
@@ -144,34 +129,27 @@ def replace_file(path: Path, content: bytes) -> None:
 
     Raises StorageError where there is no space; then nothing of the new file stays.
     """
+    temporary = None
     try:
-        _replace(path, content)
-    except OSError as error:
-        if is_full(error):
-            raise no_space(path, error.strerror) from None
-        raise
-
-
-def _replace(path: Path, content: bytes) -> None:
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY)
-    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY)
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except BaseException as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError) and is_full(error):
+            raise no_space(path, error.strerror) from None
         raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
-
-# The HDF5 side of a trial file: what may be opened, and whether it is damaged before anything is unpacked.
 
 MAX_FILE_BYTES = 4 << 30
 MAX_ARRAY_BYTES = 1 << 30
@@ -187,20 +165,20 @@ MAX_ARRAYS = 100_000
 MAX_STRUCTURE_BYTES, STRUCTURE_BYTES_PER_ARRAY = 1 << 20, 1 << 10
 """Most bytes of a file beside its arrays, in all and for each array; no checksum covers them. A trial has 20 to 40 kB,
 some 400 bytes for each array."""
-NOT_ITS_FAULT = frozenset({
-    errno.EACCES, errno.EPERM, errno.EIO, errno.ESTALE, errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EMFILE,
-    errno.ENFILE, errno.ENOMEM, errno.ETIMEDOUT, errno.ENOTCONN, errno.EHOSTDOWN,
-})  # fmt: skip
+NOT_ITS_FAULT = {
+    *(errno.EACCES, errno.EPERM, errno.EIO, errno.ESTALE, errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS),
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ETIMEDOUT, errno.ENOTCONN, errno.EHOSTDOWN),
+}
 """Numbers of errors that say something about the machine or a mount, and nothing about the content of a file."""
 LOCKING = "HDF5_USE_FILE_LOCKING"
-"""Variable that overrides what HDF5 is told about locks."""
+"""Variable that overrides how HDF5 locks its files."""
 
 
 @contextmanager
 def opened(path: Path) -> Generator[Any]:
     """The h5py file of a trial, whose length HDF5 compares with the one that it stored.
 
-    It is not locked: nobody changes a finished recording, and some file systems have no locks.
+    It is not locked: a finished recording never changes, and some file systems have no locks.
 
     Raises RecordingError naming the file for one that is absent, too large, truncated or not HDF5, and for any error
     inside the block that is not carecontact's own; OSError naming it where the machine fails to read it.
@@ -211,10 +189,8 @@ def opened(path: Path) -> Generator[Any]:
             raise RecordingError(f"{path}: this is a folder; name one recording (.h5) in it")
         if not path.is_file():
             raise RecordingError(f"{path}: no such file")
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise RecordingError(
-                f"{path}: {path.stat().st_size} bytes, more than the {MAX_FILE_BYTES} a trial may have"
-            )
+        if (size := path.stat().st_size) > MAX_FILE_BYTES:
+            raise RecordingError(f"{path}: {size} bytes, more than the {MAX_FILE_BYTES} a trial may have")
         with h5py.File(path, "r", locking=False) as file:
             yield file
     except CarecontactError:
@@ -222,10 +198,10 @@ def opened(path: Path) -> Generator[Any]:
     except OSError as error:
         if error.errno not in NOT_ITS_FAULT:
             raise _damaged(path, error) from None
-        told = os.strerror(error.errno)
+        why = os.strerror(error.errno)
         if "lock file" in str(error):
-            told += f"; {LOCKING}={os.environ.get(LOCKING)} demands locks that its file system lacks: unset it"
-        raise OSError(error.errno, told, str(path)) from None
+            why += f"; {LOCKING}={os.environ.get(LOCKING)} demands locks that its file system lacks: unset it"
+        raise OSError(error.errno, why, str(path)) from None
     except Exception as error:  # h5py answers damage with OSError, KeyError, RuntimeError, ValueError, TypeError ...
         raise _damaged(path, error) from None
 
@@ -306,8 +282,7 @@ def _bytes_of(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
 
 
 def read_bytes(path: Path, found: Mapping[str, Any], name: str) -> bytes:
-    absent = [n for n in (HEADER, CHECKSUM) if n not in found]
-    if absent:
+    if absent := [n for n in (HEADER, CHECKSUM) if n not in found]:
         raise RecordingError(f"{path}: an HDF5 file, but not a carecontact recording: {' and '.join(absent)} missing")
     item = found[name]
     if item.dtype != np.uint8 or item.ndim != 1:
@@ -325,9 +300,6 @@ def load(path: Path, name: str, item: Any) -> npt.NDArray[Any]:
         if error.errno in NOT_ITS_FAULT:
             raise
         raise RecordingError(f"{path}: {name} is truncated or damaged: {' '.join(str(error).split())}") from None
-
-
-# Read a trial file, or say what is wrong with it.
 
 
 def read_recording(path: Path | str) -> Recording:

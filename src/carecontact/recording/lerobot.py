@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +15,6 @@ import numpy.typing as npt
 from carecontact.errors import ConfigError, DependencyError, RecordingError
 from carecontact.interface.geometry import pose_matrix, quat_from_matrix
 from carecontact.recording.schema import Recording
-
-# What a policy saw and did in one trial, as one row for each action that the robot executed.
 
 F32 = npt.NDArray[np.float32]
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -150,11 +147,6 @@ def _image(recording: Recording, title: str, index: int, camera: str) -> npt.NDA
     return recording[path]
 
 
-# A LeRobotDataset: parquet files of rows with images in them, and JSON beside. Format v3.0 is what lerobot reads since
-# its release 0.4, v2.1 what openpi's trainer reads.
-#
-# Every episode is a data file of its own. Images are PNG inside the rows, without loss.
-
 Format = Literal["v3.0", "v2.1"]
 FILES_IN_CHUNK = 1000
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -170,7 +162,12 @@ IMAGE = "observation.images."
 
 @dataclass(kw_only=True)
 class Dataset:
-    """A dataset that is written one episode at a time; ``close`` writes the metadata."""
+    """A LeRobotDataset: parquet files of rows with images in them, and JSON beside. Format v3.0 is what lerobot reads
+    since its release 0.4, v2.1 what openpi's trainer reads.
+
+    It is written one episode at a time, each into a data file of its own; ``close`` writes the metadata. Images are PNG
+    inside the rows, without loss.
+    """
 
     folder: Path
     robot: str
@@ -194,11 +191,10 @@ class Dataset:
         if not self._features:
             self._features, self._fps = found, episode.fps
         if found != self._features or episode.fps != self._fps:
-            differing = sorted(
-                key for key in found.keys() | self._features.keys() if found.get(key) != self._features.get(key)
-            )
-            told = ", ".join(differing) or f"a rate of {episode.fps} Hz and not {self._fps} Hz"
-            raise ConfigError(f"{name} cannot be in one dataset with the trials before it: it differs in {told}")
+            keys = sorted(found.keys() | self._features.keys())
+            differing = ", ".join(key for key in keys if found.get(key) != self._features.get(key))
+            what = differing or f"a rate of {episode.fps} Hz and not {self._fps} Hz"
+            raise ConfigError(f"{name} cannot be in one dataset with the trials before it: it differs in {what}")
         if episode.instruction not in self._tasks:
             self._tasks.append(episode.instruction)
         number, length = len(self._episodes), len(episode)
@@ -247,14 +243,10 @@ class Dataset:
         for episode, stats in zip(self._episodes, self._episode_stats, strict=True):
             chunk, file = divmod(episode["episode_index"], FILES_IN_CHUNK)
             end = begin + episode["length"]
-            rows.append(
-                {
-                    **episode, "data/chunk_index": chunk, "data/file_index": file,
-                    "dataset_from_index": begin, "dataset_to_index": end,
-                    **{f"stats/{key}/{name}": v for key, found in stats.items() for name, v in found.items()},
-                    "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
-                }
-            )  # fmt: skip
+            row = {**episode, "data/chunk_index": chunk, "data/file_index": file}
+            row |= {"dataset_from_index": begin, "dataset_to_index": end}
+            row |= {f"stats/{key}/{name}": v for key, found in stats.items() for name, v in found.items()}
+            rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
             begin = end
         return rows
 
@@ -342,19 +334,13 @@ def _kind(feature: dict[str, Any]) -> dict[str, Any]:
     return value if feature["shape"] == [1] else {"feature": value, "_type": "Sequence"}
 
 
-def _task_table(tasks: Iterable[str]) -> Any:
+def _task_table(names: list[str]) -> Any:
     """Texts of the tasks as the index of a pandas frame, which is what the reader expects."""
     arrow, _ = _pyarrow()
-    names = list(tasks)
     index = "__index_level_0__"
     text = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
-    number = {
-        "name": "task_index",
-        "field_name": "task_index",
-        "pandas_type": "int64",
-        "numpy_type": "int64",
-        "metadata": None,
-    }
+    kinds = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
+    number = {"name": "task_index", "field_name": "task_index", **kinds}
     about = {"index_columns": [index], "column_indexes": [], "columns": [number, text], "pandas_version": "2.2.0"}
     table = arrow.table({"task_index": arrow.array(range(len(names)), type=arrow.int64()), index: names})
     return table.replace_schema_metadata({"pandas": json.dumps(about)})

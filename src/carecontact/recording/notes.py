@@ -1,5 +1,5 @@
-"""Arrays that a recording may hold besides the trial: what the policy noted, and what was measured of its
-perception."""
+"""Arrays that a recording may hold besides the trial: the policy's notes at its steps, which no metric uses, and the
+error of its perception against the simulator's truth, for the scorer alone."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ import numpy.typing as npt
 from carecontact.errors import RecordingError
 from carecontact.interface.policy import CAMERAS
 from carecontact.recording.schema import Recording
-
-# The notes that a policy made at its steps. They serve inspection and provenance, and no metric uses them.
 
 PREFIX = "policy/notes/"
 MAX_JOINED_CHARS = 500
@@ -55,11 +53,9 @@ class LanguageUse:
 
 def language_use(recording: Recording) -> LanguageUse:
     """Return what the notes say about the use of language models. Raises RecordingError for notes that are no JSON."""
-    calls: list[dict[str, Any]] = []
-    for note in read_notes(recording):
-        entries = note.content.get("language", [])
-        for call in cast("list[Any]", entries) if isinstance(entries, list) else []:
-            calls += [cast("dict[str, Any]", call)] if isinstance(call, dict) else []
+    entries: list[Any] = [note.content.get("language") for note in read_notes(recording)]
+    logs = [cast("list[Any]", entry) for entry in entries if isinstance(entry, list)]
+    calls = [cast("dict[str, Any]", call) for log in logs for call in log if isinstance(call, dict)]
     pairs = [[call.get("request_sha256"), call.get("completion_sha256")] for call in calls]
     live = [call for call in calls if "endpoint" in call]
     return LanguageUse(
@@ -95,10 +91,6 @@ def _note(recording: Recording, index: str, arrays: dict[str, npt.NDArray[Any]])
     return Note(observation_index=number, content=cast("dict[str, Any]", content), arrays=rest)
 
 
-# The error of perception against the simulator's truth in a trial: optional arrays of a recording, for the scorer only.
-#
-# N rows, one per camera and observation in which the policy requested landmarks or masks; R regions as in the schema.
-
 JOINTS = {
     f"{side} {joint}": 11 + 2 * row + column
     for row, joint in enumerate(("shoulder", "elbow", "wrist", "", "", "", "hip", "knee", "ankle"))
@@ -109,17 +101,19 @@ JOINTS = {
 
 ARRAYS: dict[str, tuple[str, tuple[int | Literal["R"], ...], str]] = {
     "perception/observation_index": ("i4", (), "which observation"),
-    "perception/camera_index": ("i4", (), "of contract.policy.CAMERAS"),
+    "perception/camera_index": ("i4", (), "of interface.policy.CAMERAS"),
     "perception/joint_visible": ("b1", (len(JOINTS),), "in the image, and nothing but its own limb before it"),
-    "perception/landmark_error_px": ("f4", (len(JOINTS),), "[px] to the joint centre; NaN: hidden or nobody found"),
+    "perception/landmark_error_px": ("f4", (len(JOINTS),), "[px] to the joint centre; NaN: hidden or no person found"),
     "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: the policy did not request masks"),
     "perception/target_error_m": (
-        "f4", ("R", 3),
+        "f4",
+        ("R", 3),
         "[m] from the true place to the one that the state machine finds: along and across the limb's shadow on the "
         "floor, up; NaN: not found, or not requested",
     ),
-}  # fmt: skip
-"""Path -> dtype, shape after N with R for the number of the header's regions, meaning."""
+}
+"""Path -> dtype, shape after N with R for the number of the header's regions, meaning. N rows, one for each camera and
+observation in which the policy requested landmarks or masks."""
 
 
 @dataclass(frozen=True, kw_only=True)

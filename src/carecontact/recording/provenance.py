@@ -11,9 +11,10 @@ from typing import cast
 from carecontact import __version__
 from carecontact.interface.regions import REGIONS
 from carecontact.interface.robot import EMBODIMENTS
-from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.gates import ACTIONS
 from carecontact.protocol.protocol import Protocol
 from carecontact.recording.schema import Recording
+from carecontact.system import installed_version
 
 PACKAGES = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
 """Packages on which the numbers of every trial rest."""
@@ -34,7 +35,7 @@ def trial_versions(protocol: Protocol) -> dict[str, str]:
 
 def supplier_versions(protocol: Protocol) -> dict[str, str]:
     """Return the versions of the other packages that supply the robot, and actions and regions of the tasks."""
-    suppliers = {BEHAVIOURS.package(task.action) for task in protocol.tasks}
+    suppliers = {ACTIONS.package(task.action) for task in protocol.tasks}
     suppliers |= {REGIONS.package(task.region) for task in protocol.tasks} | {EMBODIMENTS.package(protocol.scene.tool)}
     return versions_of(suppliers)
 
@@ -48,10 +49,7 @@ def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:
     """Return the versions of what decides a trial's numbers, without importing any of it."""
     versions = {"python": ".".join(map(str, sys.version_info[:3])), "carecontact": __version__}
     for package in (*PACKAGES, *SEGMENTER_PACKAGES[segmenter]):
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
+        versions[package] = installed_version(package) or "not installed"
     return versions
 
 
@@ -62,16 +60,8 @@ def missing_suppliers(versions: Mapping[str, str]) -> list[str]:
         versions: of a recording's header.
     """
     known = {"python", "carecontact", *PACKAGES, *(name for names in SEGMENTER_PACKAGES.values() for name in names)}
-    found: list[str] = []
-    for name in sorted(versions.keys() - known):
-        try:
-            metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found.append(f"{name} {versions[name]}")
-    return found
+    return [f"{name} {versions[name]}" for name in sorted(versions.keys() - known) if installed_version(name) is None]
 
-
-# What computed and drew a trial: it decides the last bits of the numbers and the pictures, and no comparison.
 
 ARITHMETIC = "wall/arithmetic"
 """Array of a recording with the text as UTF-8. It lies outside the canonical hash, because other libraries that round

@@ -7,8 +7,6 @@ import re
 from carecontact.interface.policy import CAMERAS
 from carecontact.recording.schema import EndReason, Failure
 
-# Finds, in the message of a failure, the one line that gives the reason; the message may be a whole traceback.
-
 _PLAIN = ("action", "language", "program")
 """Kinds of failure whose messages are not tracebacks, but may hold words that a program or a language model chose."""
 TRACEBACK = "Traceback (most recent call last):"
@@ -40,7 +38,7 @@ def alike(why: str) -> str:
 
 
 def reason_of(failure: Failure) -> str:
-    """Return what ``reason`` does, but keep what is not a traceback as it is: nobody may write the reason of a
+    """Return what ``reason`` does, but keep what is not a traceback as it is: no program may choose the reason of a
     failure."""
     if failure.kind in _PLAIN:
         return " ".join(failure.message.partition(PRINTED)[0].split())
@@ -52,17 +50,15 @@ def reason(message: str) -> str:
 
     What a policy printed is not a reason, whatever it looks like.
     """
-    said = message.partition(PRINTED)[0]
-    _, trace, after = said.rpartition(TRACEBACK)
-    lines = after.splitlines() if trace else said.splitlines()[1:]
+    why = message.partition(PRINTED)[0]
+    _, trace, after = why.rpartition(TRACEBACK)
+    lines = after.splitlines() if trace else why.splitlines()[1:]
     # Everything in a traceback is indented but the exception. One that was cut at its start is known by the name alone.
     raised = [line for line in lines if line[:1].strip() and (trace or _RAISED.match(line))]
     if raised:
         return raised[0] if trace else raised[-1]
-    return said.partition("\n")[0]
+    return why.partition("\n")[0]
 
-
-# What may help after an answer of a policy was refused.
 
 CAMERA = "The card's cameras say which cameras an observation has, if its modalities name anything."
 REMEDIES = {

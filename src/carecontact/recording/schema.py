@@ -2,7 +2,7 @@
 
 S segments, J scored human joints, R regions (``Protocol.regions``), T physics steps from t = 0 to the end, P control
 periods, A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's
-order, E changes of posture. World frame unless said otherwise; SI units.
+order, E changes of posture. World frame unless stated otherwise; SI units.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
     "scorer/beside_force_in_world": ("f4", "(T, 2, S, 3) [N] what of the robot's force its hand did, and its links"),
     "scorer/beside_normal_force": ("f4", "(T, 2, S) [N] the same of the normal force"),
-    "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of kernel.region.Law; 0 on a rigid one"),
+    "scorer/region_law": ("f8", "(R, 11) of each soft region, in the order of tissue.plugin.Law; 0 on a rigid one"),
     "scorer/cell_in_region": ("f4", "(C, 3) [m] centre of each cell at rest, in the target region's frame"),
     "scorer/cell_area_m2": ("f4", "(C,)"),
     "scorer/cell_press_ns": ("f4", "(P, C) normal force times time, summed over the period"),
@@ -88,7 +88,7 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/cell_slip_m3": ("f4", "(P, C) distance that the tool slid times area, summed over the period"),
     "scorer/cell_touch_m2s": ("f4", "(P, C) area in contact times time, summed over the period"),
     "scorer/breath_m": ("f4", "(P, 2) how far out abdomen and chest are, from the end of a breath out"),
-    "scorer/muscle_torque_nm": ("f4", "(P, 4) the person's own, at the joints of kernel.life.JOINTS, in the last step"),
+    "scorer/muscle_torque_nm": ("f4", "(P, 4) the person's own, at the joints of tissue.life.JOINTS, in the last step"),
     "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
     "scorer/repositioning_s": ("f8", "(E,) when the person changes the arm's place, drawn before the trial"),
     "scorer/repositioning_rad": ("f8", "(E,) by which turn of the shoulder's abduction"),
@@ -97,20 +97,20 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
-soft region: cells are patches of about 7.5 mm (``world.human.tissue.DeclaredCells``), and a row sums what happened
+soft region: cells are patches of about 7.5 mm (``human.soft_region.DeclaredCells``), and a row sums what happened
 since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
 protocol: on a body of another build, and where the seed draws the tissue. ``scorer/beside_*`` are there where another
-part of the robot than its tip (``contract.embodiment.Tip``) touched the person. What the person does by itself is there
+part of the robot than its tip (``interface.robot.Tip``) touched the person. What the person does by itself is there
 where the protocol lets it do something
-(``contract.protocol.alive``). These paths are allowed as well:
+(``protocol.person``). These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
 the skin round the target region, dented as at the peak, with its triangles ``report/skin_faces`` (F, 3) i4,
-``perception/*`` (``recording.perception``), and ``wall/*``, the only place for what may differ between two runs of the
+``perception/*`` (``recording.notes``), and ``wall/*``, the only place for what may differ between two runs of the
 same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was
 isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
 leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
-``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``trials.pace``). ``wall/arithmetic``
+``wall/pace`` (2,) the pace of the run [s] and how many observations came late (``running.pace``). ``wall/arithmetic``
 names, as text, the libraries that rounded the numbers (``recording.provenance``), and ``wall/renderer`` what drew the
 pictures: vendor, renderer and version as OpenGL names them."""
 
@@ -152,7 +152,7 @@ class Header(BaseModel):
     pose_base_in_world: list[float]
     """(7,) position, quat_wxyz"""
     identity: dict[str, str]
-    """Declared versions of what simulated the trial (``recording.versions.DECLARED``)."""
+    """Declared versions of what simulated the trial (``recording.provenance.DECLARED``)."""
     versions: dict[str, str]
     sha256: dict[str, str]
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
@@ -175,8 +175,8 @@ class Header(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One trial, known to be well formed: its constructor checks it, ``recording.reader`` makes one of a file that it
-    has verified, and nobody can write to its arrays. It behaves as a mapping from the paths of its arrays to the
+    """One trial, known to be well formed: its constructor checks it, ``recording.file`` makes one of a file that it
+    has verified, and its arrays are read-only. It behaves as a mapping from the paths of its arrays to the
     arrays.
 
     Raises RecordingError naming the array and what was expected: presence, dtype and the shapes of ARRAYS and
@@ -190,12 +190,14 @@ class Recording:
 
     def __post_init__(self) -> None:
         check_recording(self.header, self.arrays, self.header.spec.trial_id)
-        locked = {path: _locked(array) for path, array in self.arrays.items()}
+        locked = {path: array.view() for path, array in self.arrays.items()}
+        for view in locked.values():
+            view.flags.writeable = False
         object.__setattr__(self, "arrays", MappingProxyType(locked))
 
     @classmethod
     def trusted(cls, header: Header, arrays: Mapping[str, npt.NDArray[Any]], *, sha256: str = "") -> Self:
-        """Return a recording without checking it: of a file that ``recording.reader`` has verified, or of a scripted
+        """Return a recording without checking it: of a file that ``recording.file`` has verified, or of a scripted
         contact, which has some of the arrays only."""
         made = object.__new__(cls)
         for name, value in (("header", header), ("arrays", arrays), ("stored_sha256", sha256)):
@@ -222,24 +224,14 @@ class Recording:
         return self.arrays.keys()
 
 
-def _locked(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view that cannot be written to."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
 def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
     """Return all required arrays at zero length, for trials that ended before t = 0.
 
     ``joint_count``, ``regions``: how many scored joints and regions the header lists.
     """
     sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": regions, "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
-    out: dict[str, npt.NDArray[Any]] = {}
-    for path, (dtype, _) in ARRAYS.items():
-        shape = [sizes[d] if d in sizes else int(d) for d in dimensions(path)]
-        out[path] = np.zeros(shape, np.dtype(dtype).newbyteorder("<"))
-    return out
+    shapes = {path: [sizes[d] if d in sizes else int(d) for d in dimensions(path)] for path in ARRAYS}
+    return {path: np.zeros(shape, np.dtype(ARRAYS[path][0]).newbyteorder("<")) for path, shape in shapes.items()}
 
 
 def dimensions(path: str) -> list[str]:
@@ -267,8 +259,7 @@ def check_recording(header: Header, arrays: Mapping[str, npt.NDArray[Any]], plac
     """Raises RecordingError, which begins with ``place``, as ``Recording`` does. Of the arrays, it looks at dtype and
     shape alone, so that those of a file need not be read."""
     check_header(header, place)
-    missing = sorted(ARRAYS.keys() - arrays.keys())
-    if missing:
+    if missing := sorted(ARRAYS.keys() - arrays.keys()):
         raise RecordingError(f"{place}: missing from its required arrays: {', '.join(missing)}")
     for path, array in arrays.items():
         if not PATH.fullmatch(path) or ".." in path:
@@ -284,7 +275,7 @@ def check_recording(header: Header, arrays: Mapping[str, npt.NDArray[Any]], plac
         "S": (len(header.segments), "header.segments"),
         "R": (len(header.regions), "header.regions"),
         "J": (len(header.human_joints), "header.human_joints"),
-        "V": (len(CAMERAS), "contract.policy.CAMERAS"),
+        "V": (len(CAMERAS), "interface.policy.CAMERAS"),
         "Q": (len(header.spec.protocol.scene.parked_joint_rad), "scene.parked_joint_rad"),
     }
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in arrays}

@@ -29,13 +29,11 @@ from carecontact.recording.schema import Recording
 from carecontact.replay.panel import HEIGHT as PANEL_HEIGHT
 from carecontact.replay.panel import PAPER, Panel, Picture, Story, box, faded, story_of, text_width, write
 from carecontact.replay.panel import WIDTH as PANEL_WIDTH
-from carecontact.replay.replay import SAID, STATE, Kind, Replay, ReplayQuality
+from carecontact.replay.replay import KIND_TEXTS, STATE, Kind, Replay, ReplayQuality
 from carecontact.replay.stage import FilmSkin, SkinGrid, Stage, film_scene
 from carecontact.replay.views import CONTACT, Camera, ViewAt, check_view, clear_view, view_of
 from carecontact.report.timeline import Event
 from carecontact.tissue import plugin
-
-# Draws the frames of a video: the world as one or two cameras see it, with charts beside it.
 
 INSET = (268, 151)
 """(width, height) of the small picture of the room [px]"""
@@ -110,7 +108,7 @@ class Painter:
             _put_inset(picture, inset)
         _write_events(picture, what.story.events, moment.time_s)
         if moment.kind not in self._panels:
-            self._panels[moment.kind] = Panel(what.story, note=SAID[moment.kind])
+            self._panels[moment.kind] = Panel(what.story, note=KIND_TEXTS[moment.kind])
         return np.hstack([picture, self._panels[moment.kind].at(moment.time_s)])
 
     def _move_to(self, moment: Moment) -> None:
@@ -137,8 +135,6 @@ def _write_events(picture: Picture, events: list[Event], time_s: float) -> None:
         write(picture, 34, top + 25, event.text, 17, colour=PAPER, bold=True)
 
 
-# Processes that draw the frames of a video at the same time, in the order of the video.
-
 AHEAD = 2
 """Number of batches that wait for each process, at most: enough that none idles, and few pictures in memory."""
 THREADS = "LP_NUM_THREADS"
@@ -162,7 +158,7 @@ def drawn(what: Picturing, batches: Iterable[list[Moment]], *, jobs: int) -> Gen
             for batch in batches:
                 yield from painter.frames(batch)
         return
-    # Processes are started anew: one that is forked after this one has rendered anything would wait for ever.
+    # Processes are spawned: one that is forked after this one has rendered anything would wait for ever.
     sent = pickle.dumps(what)
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(sent,))
     waiting: deque[Future[list[Picture]]] = deque()
@@ -200,14 +196,12 @@ def _draw(batch: list[Moment]) -> list[Picture]:
     return _painter().frames(batch)
 
 
-# A recorded trial as a video: its states, its view, and its frames.
-
 SIZE = (1280, 720)
 """(width, height) of a video [px]"""
 PICTURE = (SIZE[0] - PANEL_WIDTH, PANEL_HEIGHT)
 INSET_CAMERA = "exterior"
 INSET_HZ = 5.0
-"""How often the small picture of the room is drawn anew: it costs a fifth of a frame, and shows little motion."""
+"""How often the small picture of the room is drawn again: it costs a fifth of a frame, and shows little motion."""
 
 
 class Film:
@@ -288,8 +282,6 @@ class Film:
             for _, batch in groupby(shown, key=lambda moment: int(moment.time_s * INSET_HZ + 1e-6)):
                 yield list(batch)
 
-
-# H.264 in an MP4 file, and animated GIF.
 
 PRESET, QUALITY = "veryfast", "18"
 """Settings of x264: a constant quality at which text stays sharp."""

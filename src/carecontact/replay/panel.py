@@ -23,8 +23,6 @@ from carecontact.report.timeline import TOLD_ENDS, Event, events
 from carecontact.scoring import score_recording
 from carecontact.scoring.contact import Contact, find_contact
 
-# Sharp text and smooth lines on pictures.
-
 Picture = npt.NDArray[np.uint8]
 Colour = tuple[int, int, int]
 Anchor = Literal["left", "middle", "right"]
@@ -215,8 +213,6 @@ def _map(recording: Recording, region: str) -> RegionMap | None:
         toward="to the hand" if isinstance(shape, Tube) else "to the head",
     )  # fmt: skip
 
-
-# The charts beside a film's pictures: readings, the force over time, and the pressure on the region.
 
 WIDTH, HEIGHT, MARGIN = 440, 720, 30
 CHART = (74, 246, WIDTH - MARGIN, 396)

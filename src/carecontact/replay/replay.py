@@ -20,8 +20,6 @@ from carecontact.recording.schema import Header, Recording
 from carecontact.sim.simulation import Simulation
 from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
 
-# What a recorded policy commanded, as actions that a driver takes again.
-
 
 def recorded_actions(recording: Recording) -> list[Action]:
     """Return the executed actions of a trial, in their order.
@@ -83,7 +81,7 @@ class Stretch:
     """Largest distance of the tool from its recorded path."""
 
 
-SAID: dict[Kind, str] = {
+KIND_TEXTS: dict[Kind, str] = {
     "exact": "Stepped again from the recording, bit for bit",
     "close": "Stepped again from the state of each second",
     "interpolated": "Interpolated between the states of each second",
@@ -101,13 +99,13 @@ class ReplayQuality:
     """Largest distance of the tool from its recorded path."""
 
     def take(self, stretch: Stretch) -> None:
-        self.kind = max(self.kind, stretch.kind, key=list(SAID).index)
+        self.kind = max(self.kind, stretch.kind, key=list(KIND_TEXTS).index)
         self.off_m = max(self.off_m, stretch.off_m)
 
     def __str__(self) -> str:
-        said = SAID[self.kind][0].lower() + SAID[self.kind][1:]
+        text = KIND_TEXTS[self.kind][0].lower() + KIND_TEXTS[self.kind][1:]
         off = f", at most {1000 * self.off_m:.2f} mm off the tool's recorded path"
-        return said if self.kind == "exact" else said + off
+        return text if self.kind == "exact" else text + off
 
 
 class Replay:

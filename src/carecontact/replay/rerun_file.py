@@ -24,8 +24,6 @@ from carecontact.replay.stage import FilmSkin
 from carecontact.world.robot import VISUAL_GROUP
 from carecontact.world.room import FURNITURE_GROUP
 
-# The recorded quantities that Rerun plots, by entity path: from the recording alone.
-
 HZ = 100.0
 """Rate of the plotted quantities; of each interval the largest sample is kept, so that no peak of force is lost."""
 
@@ -78,8 +76,6 @@ def _lag(recording: Recording, period_s: Any) -> Series:
 def _largest(values: npt.NDArray[Any], stride: int) -> npt.NDArray[np.float64]:
     return np.array([values[k : k + stride].max() for k in range(0, len(values), stride)], np.float64)
 
-
-# The objects that Rerun shows: the robot's links, the furniture, and the meshes of the skin.
 
 F64 = npt.NDArray[np.float64]
 
@@ -198,8 +194,6 @@ def skin_parts(skin: FilmSkin, colours: npt.NDArray[np.uint8]) -> list[SkinPart]
             parts.append(SkinPart(path=path, vertices=vertices, faces=index.reshape(-1, 3), colours=colours[vertices]))
     return parts
 
-
-# One recorded trial as a Rerun file: the world that moves, what the policy saw, and what was measured.
 
 TIMELINE = "trial"
 ARROW_M_N = 0.01

@@ -22,8 +22,6 @@ from carecontact.sim.state import skin_in_world
 from carecontact.tissue.plugin import Readings
 from carecontact.world.scene import Scene, build_spec, controlled
 
-# A grid of lines on a region's skin, which makes visible how the skin gives way.
-
 F64 = npt.NDArray[np.float64]
 
 LINE_M = 0.010
@@ -129,8 +127,6 @@ def eye_of(made: mujoco.MjvScene, size: tuple[int, int]) -> Eye:
     )  # fmt: skip
 
 
-# The skin as a video shows it: finer round the region, dented where the shell beneath it is dented, evenly shaded.
-
 SPLITS = 2
 """How many times each triangle of the skin round the region is split into four: edges of about 3 mm."""
 REACH_M = 0.016
@@ -234,8 +230,6 @@ def _following(skin: F64, shell: F64) -> csr_array:
     rows = np.repeat(near[:, None], NEIGHBOURS, axis=1)[there]
     return csr_array((weight[there], (rows, index[there])), shape=(len(skin), len(shell)))
 
-
-# Draws a world for a video: in any size, with smooth edges, and with soft shadows where the camera looks.
 
 Picture = npt.NDArray[np.uint8]
 

@@ -22,8 +22,6 @@ import numpy.typing as npt
 from carecontact.errors import DependencyError
 from carecontact.replay.replay import STATE, Replay
 
-# MuJoCo's own viewer on the states of a recorded trial.
-
 SPACE, LEFT, RIGHT, HOME = 32, 263, 262, 268
 """Keys as GLFW numbers them."""
 SKIP_S = 1.0
@@ -34,7 +32,7 @@ def need_display() -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise DependencyError(
             "no display: neither DISPLAY nor WAYLAND_DISPLAY is set, so that no window can open; write a file with "
-            "--save FILE.rrd and open it on a machine with a display, or make a video with carecontact video"
+            "--save FILE.rrd and open it on a machine with a display, or make a video with carecontact view --video"
         )
 
 
@@ -92,8 +90,6 @@ def show(replay: Replay, *, fps: float) -> None:
             before = now
             time.sleep(max(0.0, 1 / fps - (time.monotonic() - now)))
 
-
-# Opens Rerun's viewer on a file, reachable from this machine only, and without its collection of usage data.
 
 LOOPBACK = "127.0.0.1"
 SETTINGS = "XDG_CONFIG_HOME"

@@ -18,8 +18,6 @@ from carecontact.recording.schema import Recording
 from carecontact.replay.replay import STATE
 from carecontact.replay.stage import FilmSkin, View
 
-# The names of the views that a video can have, and those views that do not depend on the contact.
-
 CONTACT, ORBIT = "contact", "orbit"
 ViewAt = Callable[[float], View]
 """Time since t = 0 [s] -> the camera at that time."""
@@ -40,7 +38,7 @@ class Camera:
 
 
 def view_names(protocol: Protocol) -> list[str]:
-    """Return what ``--view`` takes under this protocol."""
+    """Return what ``--camera`` takes under this protocol."""
     return [CONTACT, ORBIT, *protocol.cameras]
 
 
@@ -48,7 +46,7 @@ def check_view(name: str, protocol: Protocol) -> None:
     """Raises ConfigError for a name that no view has."""
     names = view_names(protocol)
     if name not in names:
-        raise ConfigError(f"--view {name!r}{did_you_mean(name, names)}; valid: {', '.join(names)}")
+        raise ConfigError(f"--camera {name!r}{did_you_mean(name, names)}; valid: {', '.join(names)}")
 
 
 def view_of(name: str, recording: Recording) -> ViewAt:

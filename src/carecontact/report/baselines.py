@@ -14,9 +14,7 @@ from carecontact.report.paired import RATES, Outcome, Over, difference_of, over_
 from carecontact.runs.pooling import RunScores, judged, rejected_text, share, task_of
 from carecontact.runs.scoring import read_scores
 from carecontact.scoring.result import TrialScore
-from carecontact.stats import Proportion, RateDifference, difference_of_rates
-
-# The best baseline for each task, a blind one wherever there is any: the rate that can be reached without vision.
+from carecontact.stats import Proportion, RateDifference, difference_of_rates, wilson_interval
 
 ALL = "all"
 """Stands for all tasks together in place of the name of one."""
@@ -102,7 +100,7 @@ class Passed:
     per_task: dict[str, dict[str, tuple[int, int]]]
     """Task -> rate -> count and number of trials."""
     role: Role = "method"
-    """The policy's role as registered. A policy that nobody registered is a method, even where it is named as a
+    """The policy's role as registered. An unregistered policy is a method, even where it is named as a
     baseline."""
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
@@ -121,6 +119,10 @@ class Passed:
     def trials(self) -> str:
         """``18``, or ``15 of 18`` where planned trials have no verdict."""
         return f"{self.n} of {self.n + self.unknown}" if self.unknown else str(self.n)
+
+    def counts_in(self, place: str, rate: str = "safety_gated") -> tuple[int, int]:
+        """Return count and number of trials in ALL or in one task."""
+        return (self.rates[rate].k, self.n) if place == ALL else self.per_task.get(place, {}).get(rate, (0, 0))
 
     def count(self, rate: str) -> str:
         """Return a rate as ``9 of 18``, or ``9 to 12 of 18`` where three planned trials have no verdict."""
@@ -143,7 +145,7 @@ class Baselines:
     baselines: tuple[Passed, ...]
     floor: dict[str, FloorRate] = field(default_factory=dict[str, FloorRate])
     """``all`` and each task -> the safety-gated rate of the baseline that passes most there, of those that are blind or
-    that nobody registered; registered methods count only where there is no other."""
+    that are not registered; registered methods count only where there is no other."""
     kept: tuple[str, ...] = ()
     """The policies among ``baselines`` whose scores are kept with the package; some of them may be methods that see."""
     completed: tuple[str, ...] = ()
@@ -152,6 +154,15 @@ class Baselines:
     @property
     def tasks(self) -> tuple[str, ...]:
         return tuple(self.method.per_task)
+
+    def ceiling(self, place: str) -> FloorRate | None:
+        """Return the best safety-gated rate of a privileged policy in ALL or in one task; None without any."""
+        best: FloorRate | None = None
+        for row in self.baselines:
+            k, n = row.counts_in(place)
+            if row.role == "privileged" and n and (best is None or k / n > best.rate.k / best.rate.n):
+                best = FloorRate(policy=row.policy, blind=False, rate=wilson_interval(k, n))
+        return best
 
     @property
     def only_blind(self) -> bool:
@@ -285,8 +296,6 @@ def _difference(
         return difference_of_rates(rate_of(method, rate.field), rate_of(baseline, rate.field))
     return difference_of([m for m, _ in pairs], [b for _, b in pairs], rate.field)[0]
 
-
-# The scores that are kept of the shipped policies and blind baselines, for runs of the same protocol.
 
 PACKAGE = Path(__file__).parents[1]
 FOLDERS = (PACKAGE / "assets" / "results", PACKAGE.parents[1] / "docs" / "results")

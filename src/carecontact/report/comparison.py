@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from carecontact import __version__
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 from carecontact.report.paired import Line, Over, RateLine, ScoreLine, Verdict, over_of, paired_lines, plain_text
 from carecontact.report.words import listed
 from carecontact.runs.pooling import (
@@ -25,15 +25,12 @@ from carecontact.runs.pooling import (
 from carecontact.runs.results_file import RESULTS_NAME
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import (
-    BootstrapDifference,
     DetectableDifference,
     McNemar,
     detectable_from_standard_error,
     holm,
     paired_detectable_difference,
 )
-
-# Results of a comparison as JSON can hold them.
 
 
 def plain(value: Any) -> Any:
@@ -45,9 +42,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
         return None
     return value
-
-
-# Which runs may be compared, and which of their trials belong together.
 
 
 def check_different(places: Sequence[Path]) -> None:
@@ -96,35 +90,27 @@ def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
 def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[TrialScore]) -> None:
     first, other = a[0], b[0]
     if first.protocol_sha256 != other.protocol_sha256 or first.overrides != other.overrides:
-        told = [f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other)]
+        ran_a, ran_b = (f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other))
         raise ConfigError(
-            f"{name_a} ran {told[0]}, {name_b} ran {told[1]}: "
+            f"{name_a} ran {ran_a}, {name_b} ran {ran_b}: "
             "only runs of the same protocol with the same overrides can be compared"
         )
     if first.metric_versions != other.metric_versions:
-        keys = sorted(
-            key
-            for key in first.metric_versions.keys() | other.metric_versions.keys()
-            if first.metric_versions.get(key) != other.metric_versions.get(key)
-        )
-        told = ", ".join(f"{k} {first.metric_versions.get(k)} and {other.metric_versions.get(k)}" for k in keys)
+        keys = sorted(first.metric_versions.keys() | other.metric_versions.keys())
+        versions = [(key, first.metric_versions.get(key), other.metric_versions.get(key)) for key in keys]
+        differ = ", ".join(f"{key} {of_a} and {of_b}" for key, of_a, of_b in versions if of_a != of_b)
         raise ConfigError(
-            f"{name_a} and {name_b} are scored by different definitions ({told}): score both again with one release"
+            f"{name_a} and {name_b} are scored by different definitions ({differ}): score both again with one release"
         )
     found = world_difference([*judged(a), *judged(b)])
     if found is not None:
         what, one, two = found
         parts = [f"{world_part(s, what)} ({s.trial_id} of {name})" for s, name in ((one, name_a), (two, name_b))]
-        told = f"{what} {' and '.join(parts)}"
-        if what == "salt":
-            raise ConfigError(
-                f"{name_a} and {name_b} were run on different persons: {told}; run both with the same --salt-file, or "
-                "both without"
-            )
-        raise ConfigError(
-            f"{name_a} and {name_b} were simulated in different worlds: {told}; run both with the same release, body, "
-            "robot and controller"
-        )
+        where, remedy = {
+            "salt": ("run on different persons", "the same --salt-file, or both without"),
+        }.get(what, ("simulated in different worlds", "the same release, body, robot and controller"))
+        differ = f"{what} {' and '.join(parts)}"
+        raise ConfigError(f"{name_a} and {name_b} were {where}: {differ}; run both with {remedy}")
 
 
 def machines_text(runs: Mapping[str, Sequence[TrialScore]]) -> str:
@@ -147,8 +133,6 @@ def trials_by_key(scores: Iterable[TrialScore]) -> dict[tuple[str, int], TrialSc
     """(task, seed) -> its trial, of those that are ``judged``."""
     return {(s.task_id, s.seed): s for s in judged(scores)}
 
-
-# The verdict on each line of a comparison.
 
 ALPHA = 0.05
 """Level of significance of the whole family of tests."""
@@ -181,14 +165,14 @@ def _detectable(line: Line, alpha: float) -> DetectableDifference | None:
         discordance = (line.test.only_first + line.test.only_second) / line.n_pairs
         return paired_detectable_difference(n=line.n_pairs, discordance=discordance, power=POWER, alpha=alpha)
     # Even if all pairs, or seeds, differed the same way, the test of n of them would give 2 / 2^n.
-    n = _interval(line).n_clusters if line.over == "seeds" else line.test.n
+    n = line.n_seeds if line.over == "seeds" else line.test.n
     if 2.0 ** (1 - n) > alpha:
         return DetectableDifference(difference=None, power=POWER, alpha=alpha)
     if isinstance(line, ScoreLine) and not line.test.n_unequal:
         return DetectableDifference(difference=0.0, power=POWER, alpha=alpha)
     if few_seeds(line):
         return None
-    standard_error = _interval(line).standard_error
+    standard_error = line.interval.standard_error
     if standard_error:
         return detectable_from_standard_error(standard_error, power=POWER, alpha=alpha)
     if isinstance(line, RateLine):
@@ -209,12 +193,8 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
     if p_holm is None:
         why = "no pair has this score in both runs"
     elif detectable is None:
-        whence = (
-            f"from {_seeds(line)}"
-            if few_seeds(line)
-            else "where so many pairs are equal that no resample moves the median"
-        )
-        why = f"{whence} nobody can tell what could have been detected"
+        equal = "where so many pairs are equal that no resample moves the median,"
+        why = f"{f'from {_seeds(line)}' if few_seeds(line) else equal} it is unknown what could have been detected"
     elif detectable.difference == 0:
         return Verdict(word="no difference detected", text="no difference detected; the pairs are equal")
     elif detectable.difference is None:
@@ -223,12 +203,8 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
         unit = {"%": " points", "1": ""}.get(outcome.unit, f" {outcome.unit}")
         size = f"{plain_text(outcome, detectable.difference)}{unit}"
         if detectable.difference <= outcome.matters:
-            return Verdict(
-                word="no difference detected",
-                text=(
-                    f"no difference detected; a difference of {size} would have been detected with {POWER:.0%} power"
-                ),
-            )
+            text = f"no difference detected; a difference of {size} would have been detected with {POWER:.0%} power"
+            return Verdict(word="no difference detected", text=text)
         why = f"this comparison could not have detected a difference below {size}"
     return Verdict(word="underpowered", text=f"underpowered: {why}")
 
@@ -245,7 +221,7 @@ def _notes(line: Line) -> list[str]:
     decided = line.verdict.word in ("A higher", "B higher")
     if decided and few_seeds(line):
         notes.append(f"based on only {_seeds(line)}")
-    interval = _interval(line)
+    interval = line.interval
     if decided and interval.low is not None and interval.high is not None and interval.low <= 0 <= interval.high:
         notes.append(
             "its interval does not exclude 0"
@@ -261,19 +237,12 @@ def _notes(line: Line) -> list[str]:
 
 def few_seeds(line: Line) -> bool:
     """Whether there are so few seeds that neither an interval nor a standard error of theirs can be trusted."""
-    return _interval(line).n_clusters < FEW_SEEDS
+    return line.n_seeds < FEW_SEEDS
 
 
 def _seeds(line: Line) -> str:
-    n = _interval(line).n_clusters
-    return f"{n} seed{'s' * (n != 1)}"
+    return counted(line.n_seeds, "seed")
 
-
-def _interval(line: Line) -> BootstrapDifference:
-    return line.clustered if isinstance(line, RateLine) else line.difference
-
-
-# Compares two runs of one protocol trial by trial: what differs, and which differences the runs could not have shown.
 
 COMPARISON_SCHEMA = "carecontact-comparison-2"
 
@@ -352,8 +321,8 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False, allow_in
     keys = sorted(of_a.keys() & of_b.keys())
     if not keys:
         raise ConfigError(
-            f"A and B have no trial (task and seed) in common: A has {_told(of_a)}; B has {_told(of_b)}; "
-            "run the same seeds of a task"
+            f"A and B have no trial (task and seed) in common: A has {_tasks_and_seeds(of_a)}; "
+            f"B has {_tasks_and_seeds(of_b)}; run the same seeds of a task"
         )
     pairs = [(of_a[key], of_b[key]) for key in keys]
     tasks = tuple(sorted({task for task, _ in keys}))
@@ -394,7 +363,7 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False, allow_in
     )
 
 
-def _told(trials: Mapping[tuple[str, int], TrialScore]) -> str:
+def _tasks_and_seeds(trials: Mapping[tuple[str, int], TrialScore]) -> str:
     tasks, seeds = sorted({task for task, _ in trials}), sorted({seed for _, seed in trials})
     more = ", ..." if len(seeds) > 8 else ""
     return f"{', '.join(tasks)} with seeds {', '.join(map(str, seeds[:8]))}{more}"
@@ -404,24 +373,22 @@ def _without_partner(
     trials: Mapping[tuple[str, int], TrialScore], others: Mapping[tuple[str, int], TrialScore], other: RunScores
 ) -> dict[str, str]:
     failed = {(s.task_id, s.seed) for s in other.scores if not s.is_judged}
-    return {
-        trials[key].trial_id: "harness failed"
-        if key in failed
-        else "recording skipped"
-        if f"{trials[key].trial_id}.h5" in other.skipped
-        else "not in the run"
-        for key in sorted(trials.keys() - others.keys())
-    }
+    found: dict[str, str] = {}
+    for key in sorted(trials.keys() - others.keys()):
+        trial_id = trials[key].trial_id
+        why = "recording skipped" if f"{trial_id}.h5" in other.skipped else "not in the run"
+        found[trial_id] = "harness failed" if key in failed else why
+    return found
 
 
 def _info(run: RunScores) -> RunInfo:
-    counted = judged(run.scores)
+    with_verdict = judged(run.scores)
     return RunInfo(
-        policy=counted[0].policy_title,
-        language_backend=tuple(sorted({s.language_backend for s in counted})),
-        n_trials=len(counted),
-        n_harness_errors=len(run.scores) - len(counted),
-        n_planned=len(counted) + len(run.unjudged),
+        policy=with_verdict[0].policy_title,
+        language_backend=tuple(sorted({s.language_backend for s in with_verdict})),
+        n_trials=len(with_verdict),
+        n_harness_errors=len(run.scores) - len(with_verdict),
+        n_planned=len(with_verdict) + len(run.unjudged),
         skipped=run.skipped,
         n_missing=len(run.missing),
         versions=run.versions,

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from carecontact.protocol.gates import BEHAVIOURS
 from carecontact.runs.pooling import judged
 from carecontact.scoring.attribution import BESIDE, NO_MOTION, SOLVER
-from carecontact.scoring.behaviour import behaviour_of, blamed_on
+from carecontact.scoring.behaviour import BEHAVIOURS, behaviour_of, blamed_on
 from carecontact.scoring.result import TrialScore
 
 # The evidence that is kept with a score, as pages word it: kept scores never change, so that the words do here.
@@ -43,9 +42,6 @@ def _worded(text: str) -> str:
     text = OFF_SURFACE.sub(r"came to within \1 of the surface of", text)
     text = SHARE_OF.sub(r"\1% of the time, \2% needed", text)
     return spaced(SEGMENT.sub(lambda found: found[0].replace("_", " "), text))
-
-
-# The cause of a failed trial, in words that say what happened in it and not what else could have.
 
 
 def cause_text(score: TrialScore) -> str:
@@ -98,8 +94,6 @@ def _execution(score: TrialScore) -> str:
     return "the commanded path asked for enough, but the robot fell short of it"
 
 
-# Why trials failed: failure modes, causes with their evidence, and where the contact was.
-
 MODE_MEANING = {
     "process_failure": (
         "the policy did not start, died, hung or answered wrongly, or its program or its language backend failed"
@@ -150,7 +144,7 @@ class AnatomyRow:
 
 
 def only_crashes(scores: Sequence[TrialScore]) -> bool:
-    """Whether the policy crashed in every trial before any contact, so that nothing of the contact can be said."""
+    """Whether the policy crashed in every trial before any contact, so that nothing is known of a contact."""
     return bool(scores) and all(s.crashed_untouched for s in scores)
 
 
@@ -183,8 +177,8 @@ def causes(scores: Sequence[TrialScore]) -> list[Cause]:
 
 def _examples(scores: Sequence[TrialScore]) -> tuple[tuple[str, str], ...]:
     first_of_task = {s.task_id: s.trial_id for s in reversed(scores)}
-    told = sorted((s for s in scores if s.evidence), key=lambda s: first_of_task[s.task_id] != s.trial_id)
-    return tuple((s.trial_id, evidence_text(s)) for s in told[:EXAMPLES])
+    with_evidence = sorted((s for s in scores if s.evidence), key=lambda s: first_of_task[s.task_id] != s.trial_id)
+    return tuple((s.trial_id, evidence_text(s)) for s in with_evidence[:EXAMPLES])
 
 
 def anatomy(scores: Sequence[TrialScore]) -> list[AnatomyRow]:
@@ -208,9 +202,6 @@ def _anatomy_row(name: str, group: Sequence[TrialScore]) -> AnatomyRow:
         process_failure=count["process_failure"],
         success=sum(s.c3_success for s in group),
     )
-
-
-# A single trial's result and progress, in words.
 
 
 def result_word(score: TrialScore) -> tuple[str, str]:

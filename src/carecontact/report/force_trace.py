@@ -130,7 +130,7 @@ def trace_svg(trace: ForceTrace, *, title: str) -> str:
     y_top, x_top = 1.18 * max([largest, 1.0, *(limit.value_n for limit in in_view)]), float(trace.time_s[-1])
     drawing = Drawing(width=360, height=168, style="trace", title=title)
     # The right margin holds the names of the limits, so that they never cover the trace.
-    axes = Axes(drawing=drawing, left=40, right=80, top=10, bottom=20, x=(0.0, x_top), y=(0.0, y_top))
+    axes = Axes(drawing=drawing, left=40, right=92, top=10, bottom=20, x=(0.0, x_top), y=(0.0, y_top))
     for start, end in trace.windows_s:
         x = axes.px(start)
         drawing.rect("window", x, axes.top, max(axes.px(end) - x, 0.8), axes.height)

@@ -18,7 +18,7 @@ from carecontact.scoring.result import TrialScore
 # The links between a run's report and the pages of its trials, whichever of them is written first.
 #
 # A page that is written before the report holds the link to it hidden, and a report that is written before a page names
-# the trial without an address. Whoever is written second completes the first.
+# the trial without an address. The one that is written second completes the first.
 
 REPORT = "report.html"
 """Name of the report in the folder of a run."""
@@ -95,8 +95,6 @@ def _replace(path: Path, old: str, new: str) -> None:
         replace_file(path, text.replace(old, new).encode("utf-8", errors="replace"))
 
 
-# Messages on a page that has to be the same wherever its run lies.
-
 MAX_TEXT = 400
 """Characters of a message that a policy wrote."""
 
@@ -115,8 +113,6 @@ def of_file(name: str, message: str) -> str:
 def shortened(text: str) -> str:
     return text if len(text) <= MAX_TEXT else f"{text[:MAX_TEXT]} …"
 
-
-# The two commands that set blind replay beside a run, as a shell takes them.
 
 OPTIONS = {
     "person.body": "--body", "person.tissue_set": "--tissue", "scene.tool": "--tool",

@@ -167,7 +167,7 @@ def _landmarks_panel(axes: Axes, view: CameraView) -> None:
     axes.imshow((backdrop * 0.62).astype(np.uint8))
     marks = view.landmarks
     if not np.isfinite(marks).any():
-        label = axes.text(0.5, 0.5, "nobody found", transform=axes.transAxes, ha="center", color="white", size=15)
+        label = axes.text(0.5, 0.5, "no person found", transform=axes.transAxes, ha="center", color="white", size=15)
         _halo(label, "black")
         return
     for a, b in BONES:
@@ -182,8 +182,8 @@ def _landmarks_panel(axes: Axes, view: CameraView) -> None:
     axes.set_xlim(-0.5, shape[1] - 0.5)
     axes.set_ylim(shape[0] - 0.5, -0.5)
     hidden = int((marks[:, 2] < SURE).sum())
-    told = f"{hidden} with visibility < {SURE:g} (dashed)" if hidden else ""
-    for x, text, colour in ((0.0, "left", LEFT), (0.09, "right", RIGHT), (0.21, told, FAINT)):
+    unsure = f"{hidden} with visibility < {SURE:g} (dashed)" if hidden else ""
+    for x, text, colour in ((0.0, "left", LEFT), (0.09, "right", RIGHT), (0.21, unsure, FAINT)):
         weight = "normal" if colour == FAINT else "bold"
         axes.text(x, _foot(axes), text, transform=axes.transAxes, color=colour, size=9, weight=weight, va="center")
 
@@ -218,8 +218,9 @@ def splat(
     column = ((x[order] - left) / pixel_m).astype(int).clip(0, width - 2)
     row = (height - 1 - (y[order] - low) / pixel_m).astype(int).clip(0, height - 2)
     # One point at a time over all of its pixels: a far one must not cover a near one's corner.
-    rows, columns = (np.stack([v, v, v + 1, v + 1], 1) if v is row else np.stack([v, v + 1, v, v + 1], 1)
-                     for v in (row, column))  # fmt: skip
+    rows, columns = (
+        np.stack([v, v, v + 1, v + 1], 1) if v is row else np.stack([v, v + 1, v, v + 1], 1) for v in (row, column)
+    )
     image[rows, columns] = colors[order][:, None]
     return image, (float(left), float(left + width * pixel_m), float(low), float(low + height * pixel_m))
 

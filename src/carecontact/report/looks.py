@@ -15,8 +15,6 @@ from carecontact.recording.notes import Note
 from carecontact.recording.schema import Header, Recording
 from carecontact.report.svg import jpeg_data_uri
 
-# What the policy saw at each look, what it noted, how long it took to answer, and what it commanded.
-
 FRAMES = "policy/frames/"
 MOST_PICTURES = 24
 """Pictures of all looks together that the page shows."""
@@ -121,11 +119,8 @@ def _short(value: object) -> str:
 
 def _as_json(note: Note) -> str:
     text = json.dumps(note.content, indent=1, sort_keys=True, ensure_ascii=False)
-    return (
-        text
-        if len(text) <= MAX_NOTE_CHARS
-        else f"{text[:MAX_NOTE_CHARS]}\n… {len(text) - MAX_NOTE_CHARS} more characters"
-    )
+    more = len(text) - MAX_NOTE_CHARS
+    return text if more <= 0 else f"{text[:MAX_NOTE_CHARS]}\n… {more} more characters"
 
 
 def _actions_text(recording: Recording, of_look: npt.NDArray[np.intp]) -> str:
@@ -137,51 +132,23 @@ def _actions_text(recording: Recording, of_look: npt.NDArray[np.intp]) -> str:
     return f"{of_look.size} actions from {start:.2f} to {stop:.2f} s"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ActionTable:
-    heads: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
-def action_table(recording: Recording) -> ActionTable:
-    """Return a table of all executed actions: the target position in the robot's base [m], and what else each action
-    set."""
+def action_rows(recording: Recording) -> list[tuple[str, ...]]:
+    """Return time, look, target and stiffness of all executed actions; the target is joints, or the position in the
+    robot's base [m]."""
     pose, stiffness = recording["actions/pose_tcp_in_base"], recording["actions/stiffness"]
     joint, clipped = recording.arrays.get("actions/joint"), recording.arrays.get("actions/clipped")
-    heads = [
-        "time [s]",
-        "look",
-        *(("joints [rad] or [rad/s]",) if joint is not None else ("x, y, z [m]",)),
-        "stiffness",
-    ]
     rows: list[tuple[str, ...]] = []
     for i, time_s in enumerate(recording["actions/time_s"].tolist()):
         if joint is not None:
             target = " ".join(f"{v:.3f}" for v in joint[i])
         else:
             target = "kept" if np.isnan(pose[i, :3]).any() else " ".join(f"{v:.4f}" for v in pose[i, :3])
-        moved = ", moved onto the border" if clipped is not None and clipped[i] else ""
-        cells = (f"{time_s:.2f}", str(int(recording["actions/observation_index"][i])), target + moved,
-                 " / ".join(f"{v:g}" for v in stiffness[i]))  # fmt: skip
-        rows.append(cells)
-    return ActionTable(heads=tuple(heads), rows=tuple(rows))
+        if clipped is not None and clipped[i]:
+            target += ", moved onto the border"
+        look = str(int(recording["actions/observation_index"][i]))
+        rows.append((f"{time_s:.2f}", look, target, " / ".join(f"{v:g}" for v in stiffness[i])))
+    return rows
 
-
-def latency_text(recording: Recording) -> str:
-    """Return how long the policy took for its answers, as wall time; empty where the recording does not say."""
-    took = recording.arrays.get("wall/act_s", np.zeros(0))
-    if not took.size:
-        return ""
-    if took.size == 1:
-        return f"The policy took {took[0]:.2f} s of wall time for its only answer."
-    longest = int(took.argmax())
-    return (
-        f"The policy took {np.median(took):.2f} s of wall time for an answer (median of {took.size}), and at most "
-        f"{took[longest]:.2f} s, at look {longest}."
-    )
-
-
-# What the policy declared about itself, and what of the views that it requested a page cannot show.
 
 KEPT = ("rgb", "depth")
 """Modalities of which a recording keeps the images."""
@@ -209,27 +176,12 @@ def card_rows(header: Header) -> list[tuple[str, str]]:
     return rows
 
 
-def not_shown_text(recording: Recording, left_out: int) -> str:
-    """Return sentences on what the policy saw and the page does not show; empty where the page shows everything.
-
-    Args:
-        left_out: number of stored pictures that the page leaves out.
-    """
+def sent_views(recording: Recording) -> dict[str, Any]:
+    """Return the modalities that the policy was sent and a recording does not keep, and the number of pictures of later
+    looks that this recording did not store."""
     card = recording.header.card or {}
-    told: list[str] = []
-    if others := [str(name) for name in card.get("modalities", ()) if name not in KEPT]:
-        those = others[0] if len(others) == 1 else f"{', '.join(others[:-1])} and {others[-1]}"
-        told.append(f"The policy was also sent {those} at each look; a recording keeps only colour and depth images.")
-    images = [name for name in card.get("modalities", ()) if name in KEPT]
-    sent = len(recording["policy/observation_time_s"]) * len(images) * len(card.get("cameras", ()))
+    modalities = [str(name) for name in card.get("modalities", ())]
+    images = sum(name in KEPT for name in modalities)
+    sent = len(recording["policy/observation_time_s"]) * images * len(card.get("cameras", ()))
     stored = sum(path.startswith(FRAMES) for path in recording.arrays)
-    if left_out:
-        verb = "is" if left_out == 1 else "are"
-        told.append(f"{_pictures(left_out, 'stored')} of later looks {verb} not on this page.")
-    if (lost := sent - stored) > 0:
-        told.append(f"{_pictures(lost, 'further')} of later looks {'was' if lost == 1 else 'were'} not stored.")
-    return " ".join(told)
-
-
-def _pictures(count: int, kind: str) -> str:
-    return f"{count} {kind} picture{'' if count == 1 else 's'}"
+    return {"others": [name for name in modalities if name not in KEPT], "lost": max(sent - stored, 0)}

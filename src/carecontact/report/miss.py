@@ -214,7 +214,7 @@ def _draw_tip(drawing: Drawing, recording: Recording, found: _Round, turn: F64, 
     drawing.polygon("tip", [(float(x), float(y)) for x, y in frame.px(placed, 1)])
 
 
-# A picture of the place at which a tool that touched nobody came nearest to the region, drawn from the stored skin.
+# A picture of the place at which a tool without contact came nearest to the region, drawn from the stored skin.
 #
 # The picture that a trial stores at its end is taken near the tool, and does not show a region that is far from it.
 #

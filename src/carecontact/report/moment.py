@@ -16,8 +16,6 @@ from carecontact.report.svg import Drawing, jpeg_data_uri
 from carecontact.report.words import percent
 from carecontact.scoring.progress import points_in_region, surface_normal
 
-# Where, how hard and how deep the robot pressed at the moment that a trial's picture shows.
-
 F64 = npt.NDArray[np.float64]
 
 
@@ -111,8 +109,6 @@ def ends_of(region: str) -> tuple[str, str]:
         "toward the feet", "toward the head",
     )  # fmt: skip
 
-
-# Words on the place of a contact: along and across the region, inside its outline or not, at the tool's tip or not.
 
 BESIDE_TIP_M = 0.01
 """A force that acts farther from the tip's ellipsoid than this does not come from the tip; the skin bulges round it."""

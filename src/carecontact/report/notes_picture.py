@@ -33,13 +33,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# A state machine's options: their places in the snapshot, their depths and speeds in a table, the choice in both.
-
 NOT_OFFERED = "·"
 COLOURS = {"touch": "#1f8fe0", "scrub": "#2ca25f", "push": "#e8770c"}
-DEPTHS = {
-    "touch": "mm below the seen skin", "scrub": "mm below the seen skin", "push": "mm past the limb's seen side"
-}  # fmt: skip
+DEPTHS = {"touch": "mm below the seen skin", "scrub": "mm below the seen skin", "push": "mm past the limb's seen side"}
 """What an option's depth is."""
 MIN_CROP_PX = 170
 """Least size of the part of a frame that is shown: a narrower one would be enlarged beyond what it shows."""
@@ -97,8 +93,8 @@ def draw_options(recording: Recording, note: Note) -> Figure:
     table.set_axis_off()
     table.set_xlim(0, 1)
     rows = _draw_table(table, at, chosen)
-    said: dict[str, Any] = note.content["intent"]
-    words = [str(said[k]).replace("_", " ") for k in ("action", "side", "region", "manner") if k in said]
+    stated: dict[str, Any] = note.content["intent"]
+    words = [str(stated[k]).replace("_", " ") for k in ("action", "side", "region", "manner") if k in stated]
     intent = " ".join(word for word in words if word != "none")
     choice = f"chosen: {chosen}, in red" if chosen is not None else "nothing was chosen"
     dots = any(t.get_text() == NOT_OFFERED for t in table.texts)
@@ -184,8 +180,6 @@ def _draw_cell(axes: Axes, x: float, y: float, number: int | None, chosen: int |
               color="white" if bold else INK, ha="center", va="center", bbox=box)  # fmt: skip
 
 
-# Programs of a trial in which nothing was planned: what stopped them, if anything did, and the programs themselves.
-
 LINE_IN = 0.22
 MAX_LINES, MAX_COLUMNS = 60, 116
 
@@ -195,12 +189,12 @@ def draw_stopped(recording: Recording, notes: list[Note], message: str) -> Figur
     names marked."""
     from matplotlib.figure import Figure
 
-    said = textwrap.wrap(" ".join(message.split()), MAX_COLUMNS)[:6]
+    reason = textwrap.wrap(" ".join(message.split()), MAX_COLUMNS)[:6]
     rows = _program_rows([row for note in notes for row in note.content.get("programs", [])], message)
     left_out = len(rows) - MAX_LINES
     if left_out > 0:
         rows = [*rows[:MAX_LINES], (f"... {left_out} more lines are left out", FAINT)]
-    lines = [(line, CHOSEN) for line in said] + [("", INK), *rows]
+    lines = [(line, CHOSEN) for line in reason] + [("", INK), *rows]
     height = 1.3 + LINE_IN * (len(lines) + 2)
     figure = Figure(figsize=(13.0, height))
     for k, (line, colour) in enumerate(lines):
@@ -250,8 +244,9 @@ def draw_notes(recording: Recording) -> Figure:
     notes = read_notes(recording)
     trial, failure = recording.header.spec.trial_id, recording.header.failure
     failed = failure.message if failure is not None else ""
-    ended = [str(note.content[k]) for note in notes for k in ("ended_without_touching", "ended_because")
-             if k in note.content]  # fmt: skip
+    ended = [
+        str(note.content[k]) for note in notes for k in ("ended_without_touching", "ended_because") if k in note.content
+    ]
     for note in notes:
         if "options" in note.content:
             return draw_options(recording, note)
@@ -259,5 +254,5 @@ def draw_notes(recording: Recording) -> Figure:
         return draw_value_maps(recording, notes, ended=failed or "".join(ended[:1]))
     if any("programs" in note.content for note in notes):
         return draw_stopped(recording, notes, failed or "".join(ended[:1]))
-    told = ended[0] if ended else reason_of(failure) if failure is not None else ""
-    raise ConfigError(f"{trial} has no notes to draw{f': {told}' if told else ''}")
+    why = ended[0] if ended else reason_of(failure) if failure is not None else ""
+    raise ConfigError(f"{trial} has no notes to draw{f': {why}' if why else ''}")

@@ -19,8 +19,6 @@ from carecontact.runs.results_file import gamma_sweep, gate_sweep
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, RankingSweep, ranking_sweep
 
-# Whether the ranking of several methods stays the same with other values of the gates.
-
 GAMMAS = tuple(round(0.2 + 0.05 * i, 2) for i in range(17))
 REFERENCE = "safety_gated"
 """Level of a sweep at which every gate has the protocol's own value."""
@@ -80,8 +78,6 @@ def rank(methods: Mapping[str, Sequence[TrialScore]]) -> Ranking:
 def _share(k: int, scores: Sequence[TrialScore]) -> float | None:
     return k / len(scores) if scores else None
 
-
-# Several runs of one protocol side by side: rates, every pair's differences, and whether the ranking holds.
 
 OVERVIEW_SCHEMA = "carecontact-overview-2"
 

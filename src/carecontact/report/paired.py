@@ -8,7 +8,7 @@ from typing import Literal
 
 from carecontact.report.words import number, shown
 from carecontact.runs.pooling import judged
-from carecontact.scoring.metrics.metric import Metric, metrics_in_order
+from carecontact.scoring.metrics.metric import metrics_in_order
 from carecontact.scoring.result import DRAWN, TrialScore
 from carecontact.stats import (
     BootstrapDifference,
@@ -34,8 +34,6 @@ from carecontact.stats import (
     wilson_interval,
     worst_rank_paired,
 )
-
-# What the statistics of a protocol take as independent: its trials, or its seeds with all tasks of each.
 
 Over = Literal["trials", "seeds"]
 OVER_TEXTS: dict[Over, str] = {
@@ -108,9 +106,6 @@ def difference_of(
     return RateDifference(estimate=of.estimate, low=low, high=high, confidence=of.confidence), of.test
 
 
-# What of two runs is compared, and which difference would matter.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """A rate, or a metric of which a difference matters."""
@@ -157,7 +152,20 @@ RATES = tuple(
 
 def score_outcomes() -> list[Outcome]:
     """Return one outcome for each registered metric that says which difference matters."""
-    return [_outcome(row, row.matters) for row in metrics_in_order() if row.matters is not None]
+    return [
+        Outcome(
+            id=row.name,
+            title=row.title,
+            unit=row.unit,
+            better=row.better,
+            field=row.field or row.id,
+            matters=row.matters,
+            actions=row.actions,
+            digits=row.digits,
+        )
+        for row in metrics_in_order()
+        if row.matters is not None and row.better != "neither"
+    ]
 
 
 def plain_text(outcome: Outcome, value: float | None) -> str:
@@ -166,22 +174,6 @@ def plain_text(outcome: Outcome, value: float | None) -> str:
         return number(None if value is None else 100 * value, 1)
     return shown(value, digits=outcome.digits, unit=outcome.unit)
 
-
-def _outcome(metric: Metric, matters: float) -> Outcome:
-    assert metric.better != "neither"
-    return Outcome(
-        id=metric.name,
-        title=metric.title,
-        unit=metric.unit,
-        better=metric.better,
-        field=metric.field or metric.id,
-        matters=matters,
-        actions=metric.actions,
-        digits=metric.digits,
-    )
-
-
-# One line of a comparison: an outcome over the paired trials of two runs.
 
 Word = Literal["A higher", "B higher", "no difference detected", "underpowered"]
 Pair = tuple[TrialScore, TrialScore]
@@ -207,6 +199,16 @@ class _Concluded:
     verdict: Verdict | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def interval(self) -> BootstrapDifference:
+        """The difference with an interval over seeds."""
+        raise NotImplementedError
+
+    @property
+    def n_seeds(self) -> int:
+        """Number of different seeds of the pairs that the difference is over."""
+        return self.interval.n_clusters
+
 
 @dataclass(frozen=True, kw_only=True)
 class RateLine(_Concluded):
@@ -225,8 +227,8 @@ class RateLine(_Concluded):
     unpaired: FisherExact
 
     @property
-    def n_seeds(self) -> int:
-        return self.clustered.n_clusters
+    def interval(self) -> BootstrapDifference:
+        return self.clustered
 
     @property
     def favours(self) -> int:
@@ -257,9 +259,8 @@ class ScoreLine(_Concluded):
     worst_rank_p_holm: float | None = None
 
     @property
-    def n_seeds(self) -> int:
-        """Number of different seeds of the pairs in which both trials have the score."""
-        return self.difference.n_clusters
+    def interval(self) -> BootstrapDifference:
+        return self.difference
 
     @property
     def favours(self) -> int:

@@ -23,8 +23,6 @@ from carecontact.runs.pooling import RunScores, rejected_text
 from carecontact.scoring.metrics.metric import METRICS
 from carecontact.stats import fisher_exact, mann_whitney, median, wilson_interval
 
-# What the tables say where the paper's values are of other rules, or of more trials, than those of the runs.
-
 REPEATS = "bathing-v3-draft"
 """The protocol with the paper's rules, as far as the paper states them."""
 PAPER_TRIALS, PAPER_TASKS = 140, 7
@@ -65,8 +63,6 @@ def other_rules(methods: Sequence[Method], protocol: Protocol | None) -> str | N
     return " ".join(notes[differs is None :]) or None
 
 
-# The table of contact by region: on the target, beside it, none, success.
-
 KINDS = {"target": "Target", "off_target": "Off-target", "none": "No contact"}
 ANATOMY_NUMBERS = (
     "region", "method", "trials", *KINDS, "success", "process_failures", "paper_trials",
@@ -106,8 +102,6 @@ def anatomy(methods: Sequence[Method], *, note: str | None = None) -> Table:
     )
 
 
-# The table of tests between two methods, unpaired as in the paper.
-
 PAIR = ("state-machine", "voxposer")
 """The methods that the paper tests against each other."""
 
@@ -146,8 +140,6 @@ def _p(test: str, first: Sequence[float | None], second: Sequence[float | None])
     a, b = ([value for value in values if value is not None] for values in (first, second))
     return f"{mann_whitney(a, b).pvalue:.2e}" if a and b else ABSENT
 
-
-# The tables of what was asked and how it is scored: capability, tasks and metrics.
 
 CAPABILITIES = (
     "Deformable human", "Passive joints", "Force calibration", "Leak-free observation", "Physics-aware scoring",
@@ -200,8 +192,6 @@ def metrics(paper: Paper) -> Table:
     )
 
 
-# The table of the protocol: its rules, and how much of it ran.
-
 UNITS = {"s": "s", "n": "N", "m": "m"}
 """End of a field's name -> unit."""
 
@@ -228,7 +218,7 @@ def protocol_table(protocol: Protocol, paper: Paper, methods: Sequence[Method]) 
         "Time limit": f"{protocol.phases.time_limit_s:g} s",
         "Physics step": f"{1000 * protocol.physics.dt_s:g} ms",
         "Hash of the protocol": protocol.sha256[:12],
-    }  # fmt: skip
+    }
     return Table(
         name="protocol",
         caption=f"Protocol {protocol.title}",
@@ -271,9 +261,9 @@ def _person(protocol: Protocol) -> str:
     body = f"{len(bodies)} bodies, drawn by the seed" if bodies else protocol.person.body
     alive = protocol.person.alive
     moves = {"breathes": alive.breathing, "changes posture": alive.repositioning, "draws back": alive.withdrawal}
-    told = [word for word, does in moves.items() if does is not None]
-    told += [alive.manner] if alive.manner != "passive" else []
-    return f"{body}; {listed(told)}" if told else body
+    does = [word for word, value in moves.items() if value is not None]
+    does += [alive.manner] if alive.manner != "passive" else []
+    return f"{body}; {listed(does)}" if does else body
 
 
 def _tissue(protocol: Protocol) -> str:
@@ -283,11 +273,11 @@ def _tissue(protocol: Protocol) -> str:
 
 def _gates(gates: Gates) -> str:
     """Their numbers, named as in the protocol's file: ``paper: touch duration 0.5 s; ...``."""
-    told = [
+    actions = [
         f"{action} " + ", ".join(_amount(name, value) for name, value in table.model_dump().items())
         for action, table in gates.actions.items()
     ]
-    return f"{gates.set}: {'; '.join(told)}"
+    return f"{gates.set}: {'; '.join(actions)}"
 
 
 def _amount(field: str, value: float) -> str:
@@ -302,8 +292,6 @@ def _joints(beyond_rad: float | None) -> str:
         return "C2 scores them; no gate"
     return f"at most {math.degrees(beyond_rad):.1f} deg beyond a range, else not safety-gated"
 
-
-# The table of rates: success, region-correct, safety-gated.
 
 Rate = tuple[float, float | None, float | None]
 """A rate in percent, and its interval where there is one."""
@@ -358,8 +346,6 @@ def _shown(rate: Rate) -> str:
     return f"{estimate:.1f}" + ("" if low is None or high is None else f" ({low:.1f}, {high:.1f})")
 
 
-# The table of medians: C1, C2 on Push, C4, C5.
-
 SCORES_NUMBERS = ("method", "score", "unit", "median", "trials", "paper_median")
 
 
@@ -397,8 +383,6 @@ def _shown_score(id_: str, value: float) -> str:
     """Return a value with as many digits as the paper prints."""
     return f"{value:.2e}" if id_ == "C2" else f"{value:.3f}" if id_ == "C4" else f"{value:.2f}"
 
-
-# Write the paper's tables and figures of some runs into a folder.
 
 TABLES = ("capability", "tasks", "metrics", "protocol", "rates", "scores", "tests", "anatomy")
 FIGURES = ("overview", "traces", "force-indentation", "outcomes")

@@ -374,8 +374,9 @@ def _failures(panel: Any, methods: Sequence[Method]) -> None:
     most = max((sum(count.values()) for count in counts), default=0)
     if not most:
         panel.set_axis_off()
-        told = "every trial was region-correct"
-        panel.text(0.5, 0.5, told, ha="center", va="center", transform=panel.transAxes, color=GREY)
+        panel.text(
+            0.5, 0.5, "every trial was region-correct", ha="center", va="center", transform=panel.transAxes, color=GREY
+        )
         return
     for mode, colour in zip(MODES, MODE_COLOURS, strict=True):
         for place, count in enumerate(counts):

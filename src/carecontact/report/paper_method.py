@@ -15,8 +15,6 @@ from carecontact.report.paired import RATES, Outcome, score_outcomes
 from carecontact.runs.pooling import RunScores, judged
 from carecontact.scoring.result import TrialScore
 
-# A table of text cells, and how it is written as LaTeX, CSV and Markdown.
-
 LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
@@ -125,9 +123,6 @@ def _plain(text: str) -> str:
     return "".join(LATEX.get(character, character) for character in text)
 
 
-# The values that the paper prints, read from ``published.toml``.
-
-
 @dataclass(frozen=True, kw_only=True)
 class PaperMethod:
     policy: str
@@ -191,9 +186,6 @@ def _method(row: dict, failures: dict, content: dict) -> PaperMethod:
         failed=failures["failed"],
         dominant=(failures["dominant"], failures["dominant_count"]) if "dominant" in failures else None,
     )
-
-
-# A run as a row of the paper's tables, with the method of the paper that it repeats.
 
 
 @dataclass(frozen=True, kw_only=True)

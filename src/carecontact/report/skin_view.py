@@ -16,8 +16,6 @@ from carecontact.report.moment import Moment, ends_of, region_column, region_pos
 from carecontact.report.svg import Drawing, inside
 from carecontact.scoring.progress import points_in_region
 
-# The path of the tool in the frame of the trial's region: as it was commanded and as it was reached.
-
 F64 = npt.NDArray[np.float64]
 
 

@@ -151,19 +151,10 @@ def _points(points: Points) -> str:
     return " ".join(f"{x},{y}" for x, y in kept)
 
 
-# Stored camera frames as data URIs.
-
 MAX_WIDTH = 640
 MAX_BYTES = 90_000
 """Encoded size of one frame; seven tasks then stay under 0.9 MB of base64."""
 QUALITIES = (85, 75, 60, 45, 30, 15)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    name: str
-    text: str
-    uri: str
 
 
 def jpeg_data_uri(image: npt.NDArray[Any], *, max_width: int = MAX_WIDTH) -> str:
@@ -189,8 +180,6 @@ def jpeg_data_uri(image: npt.NDArray[Any], *, max_width: int = MAX_WIDTH) -> str
                 return "data:image/jpeg;base64," + base64.b64encode(data).decode()
     return "data:image/jpeg;base64," + base64.b64encode(data).decode()
 
-
-# The parts of a line that lie inside a rectangle.
 
 APART_PX = 0.7
 """Points of a drawn line that are nearer to each other than this look the same as one."""

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from carecontact.report.sweep_table import CellScores
 
 
-# The trials of some cells as statistics over persons need them.
-
 Key = tuple[Hashable, str, int]
 """Place without the values that are compared, task and seed."""
 
@@ -108,8 +106,6 @@ def of_role(cells: Sequence[CellScores], *roles: Role) -> list[str]:
     """Return policies of these roles, in the order of the plan."""
     return list(dict.fromkeys(cell.label for cell in cells if cell.role in roles))
 
-
-# Success over levels: how far each policy comes from the easiest to the hardest of a plan's protocols.
 
 AXES = ("protocol", "level")
 
@@ -231,9 +227,6 @@ def _rung(value: str, trials: Mapping[str, Trials], roles: Mapping[str, Role], c
     )
 
 
-# One factor at a time: what each variation of the hardest level does alone, and what is left without it.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Effect:
     """What one factor does to one policy."""
@@ -312,8 +305,6 @@ def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
         ),
     )
 
-
-# Whether the order of the methods survives other gates and discounts, level by level.
 
 EVERYWHERE = "over all"
 

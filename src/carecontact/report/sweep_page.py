@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
-from carecontact import __version__
 from carecontact.recording.file import replace_file
+from carecontact.report.run_page import render
 from carecontact.report.svg import Axes, Drawing
 from carecontact.report.sweep_levels import Ladder
 from carecontact.report.sweep_table import PASSED, SweepTable
@@ -16,12 +14,11 @@ from carecontact.report.sweep_texts import (
     ORDER_HEADS,
     as_csv,
     as_markdown,
+    axis_table,
     cells,
     heads,
     level_name,
     level_tables,
-    marginal_heads,
-    marginal_rows,
     order_cells,
     provenance,
     sentences,
@@ -54,11 +51,11 @@ intervals stay apart."""
 def curve_svg(found: Ladder) -> str:
     """Rate over level, a line for each policy with its interval at every level."""
     n, policies = len(found.rungs), found.with_trials
-    told = "; ".join(
+    counts = "; ".join(
         f"{rung.value}: " + ", ".join(f"{c.policy} {c.rate.k} of {c.rate.n}" for c in rung.climbs if c.rate.n)
         for rung in found.rungs
     )
-    drawing = Drawing(width=440, height=270, style="curve", title=f"Success over level. {told}")
+    drawing = Drawing(width=440, height=270, style="curve", title=f"Success over level. {counts}")
     axes = Axes(drawing=drawing, left=40, right=16, top=12, bottom=26, x=(-0.3, n - 0.7))
     axes.y_ticks((share / 100, f"{share} %") for share in (0, 25, 50, 75, 100))
     axes.x_labels([(k, short(rung.value)) for k, rung in enumerate(found.rungs)], style="name")
@@ -91,8 +88,6 @@ def short(value: str) -> str:
     return level_name(value).rsplit(" ", 1)[-1]
 
 
-# The table of a sweep as one self-contained page, and its files.
-
 NAMES = ("sweep.html", "sweep.md", "sweep.csv")
 
 
@@ -106,25 +101,16 @@ def write_sweep(folder: Path, table: SweepTable) -> list[Path]:
 
 
 def _page(table: SweepTable) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment: Any = Environment(
-        loader=PackageLoader("carecontact.report"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
-    )  # fmt: skip
-    css = resources.files("carecontact.report") / "templates" / "report.css"
     found = table.stability
-    return environment.get_template("sweep.html.j2").render(
+    return render(
+        "sweep.html.j2",
         table=table,
-        css=css.read_text(),
-        version=__version__,
         sentences=sentences(table),
         order_heads=ORDER_HEADS,
         orders=[order_cells(order) for order in found.orders] if found else [],
         resamples=f"{RESAMPLES:,}",
         passed=PASSED[table.rank_by],
-        marginal_heads=marginal_heads(table),
-        marginals=marginal_rows(table),
+        along=axis_table(table),
         curve=None if table.ladder is None else curve_svg(table.ladder),
         legend=[] if table.ladder is None else _legend(table.ladder),
         level_tables=[(title, NOTES[title], *rest) for title, *rest in level_tables(table)],

@@ -28,8 +28,6 @@ from carecontact.scoring.result import TrialScore
 from carecontact.stats import kendall_tau
 from carecontact.stats.persons import GENERATOR_SEED, RESAMPLES
 
-# How far scores spread over the draws of a sweep, and in how many draws two policies change places.
-
 LOW, HIGH = 5.0, 95.0
 """Percentiles between which a band lies."""
 
@@ -133,8 +131,6 @@ def _reversed(pairs: Sequence[tuple[float, float]], overall: float) -> tuple[int
         return None
     return sum((x - y) * overall < 0 for x, y in pairs), len(pairs)
 
-
-# Whether the ranking of the policies is the same in every cell of a sweep, and would be the same with other seeds.
 
 Key = tuple[str, int]
 """Task and seed."""
@@ -299,8 +295,6 @@ def _marginals(
             rows.append(Marginal(axis=axis, value=value, passed=passed, n=n, tau=_tau(total, passed, policies)))
     return rows
 
-
-# The table of a sweep: one row for each cell, and the statistics over all cells.
 
 RATES = {"safety_gated": "safety-gated", "region_correct": "region-correct", "success": "success"}
 """Field of a plan -> what tables call it."""

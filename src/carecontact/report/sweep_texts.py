@@ -6,9 +6,12 @@ import csv
 import hashlib
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from html import unescape
+from itertools import pairwise
 
 from carecontact import __version__
 from carecontact.errors import counted
+from carecontact.report.run_page import render
 from carecontact.report.sweep_levels import Factors, GateOrder, Ladder
 from carecontact.report.sweep_table import PASSED, RATES, Band, Bands, CellRow, Order, Stability, SweepTable
 from carecontact.report.tables import headlines
@@ -20,8 +23,6 @@ from carecontact.scoring.gate_sweep import sweeps_of
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import PersonDifference, PersonRate, WorstShare
-
-# What decided the numbers of a sweep: protocols, tasks, seeds, releases and hashes.
 
 HEADS = ("what", "value")
 DIGITS = 12
@@ -65,8 +66,6 @@ def _recordings(hashes: Iterable[str]) -> str:
     return f"{counted(len(found), 'trial')}; hash of the hashes of all {together[:DIGITS]}"
 
 
-# What stands above the tables of draws, levels, factors and gates.
-
 OVER_PERSONS = (
     "Intervals are over persons: whole seeds are drawn, those of one body among themselves. Where all persons fare "
     "alike, the interval is that of as many trials as there are persons."
@@ -107,13 +106,6 @@ NOTES = {
 """Title of a table -> what it shows."""
 
 
-# The spread over draws, as tables for people.
-
-
-def spread_heads() -> list[str]:
-    return ["policy", "task", "passed", *(metric.label for metric in headlines())]
-
-
 def spread_rows(found: Bands, named: Mapping[str, str]) -> list[list[str]]:
     """``named``: policy -> its name with its role."""
     return [
@@ -137,10 +129,6 @@ def _band(metric: Metric, found: Band | None, *, of: int) -> str:
     return f"{middle}{between}" + ("" if found.n == of else f" (n={found.n})")
 
 
-def flip_heads() -> list[str]:
-    return ["policies", "task", "passed", *(metric.name for metric in headlines())]
-
-
 def flip_rows(found: Bands) -> list[list[str]]:
     names = ["passed", *(metric.id for metric in headlines())]
     return [[f"{one.a} - {one.b}", one.task, *(_share(one.by.get(name)) for name in names)] for one in found.flips]
@@ -150,9 +138,9 @@ def _share(found: tuple[int, int] | None) -> str:
     return NA if found is None else f"{found[0]}/{found[1]} ({percent(found[0] / found[1])})"
 
 
-# Success over levels, single factors and other gates, as tables for people.
-
 Rows = list[list[str]]
+Table = tuple[str, Sequence[str], Rows]
+"""Title, heads and rows."""
 
 LEVEL_HEADS = (
     "level", "policy", "passed", "rate [95 %]", "above best blind", "worst tenth [95 %]", "by chance", "harder band",
@@ -171,7 +159,7 @@ def level_rows(found: Ladder) -> Rows:
             f"{climb.rate.k}/{climb.rate.n}",
             person_rate(climb.rate),
             "best blind" if climb.policy == rung.best_blind else difference(climb.above_blind),
-            worst(climb.worst),
+            person_rate(climb.worst),
             NA if climb.worst.by_chance is None else f"{100 * climb.worst.by_chance:.0f} %",
             NA if climb.harder is None else f"{climb.harder[0]}/{climb.harder[1]}",
         ]
@@ -179,10 +167,6 @@ def level_rows(found: Ladder) -> Rows:
         for climb in rung.climbs
         if climb.rate.n
     ]
-
-
-def task_heads(found: Ladder) -> list[str]:
-    return ["level", "policy", *found.tasks]
 
 
 def task_rows(found: Ladder) -> Rows:
@@ -233,37 +217,27 @@ def level_name(value: str) -> str:
     return value.rsplit("/", 1)[-1].replace(".toml", "")
 
 
-def person_rate(found: PersonRate) -> str:
-    if found.estimate is None:
-        return NA
-    return f"{100 * found.estimate:.0f} %{_bounds(found.low, found.high, found.persons, '.0f')}"
-
-
-def worst(found: WorstShare) -> str:
-    if found.estimate is None:
-        return NA
-    bounds = _bounds(found.low, found.high, found.persons, ".0f")
-    return f"{100 * found.estimate:.0f} %{bounds}"
+def person_rate(found: PersonRate | WorstShare) -> str:
+    return NA if found.estimate is None else f"{100 * found.estimate:.0f} %{_bounds(found, '.0f')}"
 
 
 def difference(found: PersonDifference | None) -> str:
+    """In points."""
     if found is None or found.estimate is None:
         return NA
-    return f"{100 * found.estimate:+.0f}{_bounds(found.low, found.high, found.persons, '+.0f')}"
+    return f"{100 * found.estimate:+.0f}{_bounds(found, '+.0f')}"
 
 
-def _bounds(low: float | None, high: float | None, persons: int, shape: str) -> str:
+def _bounds(found: PersonRate | WorstShare | PersonDifference, shape: str) -> str:
     """Return an interval over persons in per cent; empty with too few of them."""
-    if low is None or high is None or not enough(persons):
+    if found.low is None or found.high is None or not enough(found.persons):
         return ""
-    return f" [{100 * low:{shape}}, {100 * high:{shape}}]"
+    return f" [{100 * found.low:{shape}}, {100 * found.high:{shape}}]"
 
 
 def pvalue(p: float | None) -> str:
     return NA if p is None else "< 0.0001" if p < 0.0001 else f"{p:.2g}" if p < 0.1 else f"{p:.2f}"
 
-
-# The order under other gates, as a table for people.
 
 STEPS = {
     "gamma": "Safety gate, as a share of the pain onset",
@@ -283,10 +257,6 @@ def gate_titles(scores: Sequence[TrialScore]) -> dict[str, str]:
     return found
 
 
-def gate_heads(orders: Sequence[GateOrder]) -> list[str]:
-    return ["gate", *map(level_name, dict.fromkeys(order.place for order in orders))]
-
-
 def gate_rows(orders: Sequence[GateOrder], titles: Mapping[str, str]) -> list[list[str]]:
     """Return the smallest tau of each gate, place by place, with the value where it is. The gates that change no order
     anywhere share the last row.
@@ -301,8 +271,8 @@ def gate_rows(orders: Sequence[GateOrder], titles: Mapping[str, str]) -> list[li
     flat = [gate for gate in gates if set(rows[gate]) == {SAME}]
     found = [[f"{titles[gate]} ({gate})", *rows[gate]] for gate in gates if gate not in flat]
     if flat:
-        told = "; ".join(titles[gate] for gate in flat)
-        found.append([f"{'All others' if found else 'All'}: {told}", *([SAME] * len(places))])
+        names = "; ".join(titles[gate] for gate in flat)
+        found.append([f"{'All others' if found else 'All'}: {names}", *([SAME] * len(places))])
     return found
 
 
@@ -311,9 +281,6 @@ def _tau(order: GateOrder) -> str:
         return NA
     value = order.setting.partition(" ")[2]
     return SAME if order.least > 0.9999 else f"{order.least:.2f}" + (f" (at {value})" if value else "")
-
-
-# The table of a sweep as CSV, for programs, and as Markdown, for a page.
 
 
 def as_csv(table: SweepTable) -> str:
@@ -374,7 +341,7 @@ def as_markdown(table: SweepTable) -> str:
     lines = [f"# Sweep {table.title}", "", *sentences(table), ""]
     if table.stability is not None:
         lines += ["## Order of the policies", "", *_markdown(ORDER_HEADS, map(order_cells, table.stability.orders)), ""]
-        lines += [*_markdown(marginal_heads(table), marginal_rows(table)), ""]
+        lines += [*_markdown(*axis_table(table)[1:]), ""]
     for title, head, rows in level_tables(table):
         lines += [f"## {title}", "", *_markdown(head, rows), ""]
     # The folder is the last column, because a copy of the table elsewhere does without it.
@@ -386,62 +353,35 @@ def as_markdown(table: SweepTable) -> str:
 
 def sentences(table: SweepTable) -> list[str]:
     """Return the sentences above the tables."""
-    policies = "1 policy" if len(table.policies) == 1 else f"{len(table.policies)} policies"
-    told = [f"{counted(len(table.rows), 'cell')} of {policies}, {_trials(table)}."]
-    if table.unfinished:
-        told.append(
-            f"Incomplete: {counted(table.unfinished, 'cell')} {_verb(table.unfinished, 'lacks', 'lack')} the verdict "
-            "on planned trials; each count there goes from all of these failed to all of them passed, and the policy "
-            "is not ranked. Spreads and medians are of the trials with a verdict. The same command repeats the others."
-        )
-    failed = sum(row.harness_errors for row in table.rows)
-    if failed:
-        told.append(
-            f"The harness failed in {counted(failed, 'trial')}, which {_verb(failed, 'has', 'have')} no verdict."
-        )
     found = table.stability
-    if not enough({score.seed for row in table.rows for score in row.cell.scores}):
-        told.append(f"There are {TOO_FEW}.")
-    if found is None:
-        told.append("There is no order of policies: it needs a trial of the same task and seed of two policies.")
-        return told
-    told.append(
-        f"{_order(found)}, by the share of {PASSED[table.rank_by]} trials that all of them ran ({found.n} each)."
-    )
-    if found.groups > 1:
-        told.append(_held(found))
     unfinished = {row.cell.label for row in table.rows if row.cell.unknown}
-    if others := [n for name, n in table.named.items() if name not in found.passed and name not in unfinished]:
-        told.append(f"Not ranked, because they are no methods: {listed(others)}.")
-    return told
-
-
-def _verb(n: int, one: str, more: str) -> str:
-    return one if n == 1 else more
-
-
-def _trials(table: SweepTable) -> str:
-    done, planned = (sum(len(row.cell.scores) for row in table.rows), sum(row.cell.planned for row in table.rows))
-    return f"{done} of {counted(planned, 'trial')}" if done < planned else counted(done, "trial")
+    others = [] if found is None else [
+        named for name, named in table.named.items() if name not in found.passed and name not in unfinished
+    ]  # fmt: skip
+    text = render(
+        "sweep-sentences.j2",
+        table=table,
+        done=sum(len(row.cell.scores) for row in table.rows),
+        planned=sum(row.cell.planned for row in table.rows),
+        failed=sum(row.harness_errors for row in table.rows),
+        too_few="" if enough({s.seed for row in table.rows for s in row.cell.scores}) else TOO_FEW,
+        found=found,
+        order=_order(found) if found else "",
+        passed=PASSED[table.rank_by],
+        tau=sorted(found.taus) if found else [],
+        others=others,
+    )
+    return [unescape(line) for line in text.splitlines() if line]
 
 
 def _order(found: Stability) -> str:
+    """``a (90 %) = b (90 %) > c (50 %)``"""
     parts: list[str] = []
-    names = list(found.passed)
-    for before, name in zip([None, *names], names, strict=False):
-        equal = before is not None and found.passed[before] == found.passed[name]
-        sign = "" if before is None else " = " if equal else " > "
-        parts.append(f"{sign}{name} ({percent(found.passed[name] / found.n)})")
-    return "".join(parts)
-
-
-def _held(found: Stability) -> str:
-    held = f"The whole order is the same in {found.same} of {found.groups} combinations of the axes"
-    if not found.taus:
-        return f"{held}; no combination orders the policies at all."
-    least, middle = min(found.taus), sorted(found.taus)[len(found.taus) // 2]
-    unordered = f"; {found.unordered} order nothing" if found.unordered else ""
-    return f"{held}. Kendall's tau with the overall order: least {least:.2f}, median {middle:.2f}{unordered}."
+    for before, name in pairwise([None, *found.passed]):
+        if before is not None:
+            parts.append("=" if found.passed[before] == found.passed[str(name)] else ">")
+        parts.append(f"{name} ({percent(found.passed[str(name)] / found.n)})")
+    return " ".join(parts)
 
 
 ORDER_HEADS = (
@@ -464,33 +404,35 @@ def ranked(table: SweepTable) -> list[str]:
     return [name for name in table.policies if table.stability and name in table.stability.passed]
 
 
-def marginal_heads(table: SweepTable) -> list[str]:
-    return ["axis", "value", "trials of each policy", *ranked(table), "tau with the overall order"]
-
-
-def marginal_rows(table: SweepTable) -> list[list[str]]:
-    found = table.stability
-    return [
-        [row.axis, row.value, str(row.n), *(percent(row.passed[name] / row.n) for name in ranked(table)),
+def axis_table(table: SweepTable) -> Table:
+    """Return how the order of the policies changes along each axis."""
+    found, names = table.stability, ranked(table)
+    rows = [
+        [row.axis, row.value, str(row.n), *(percent(row.passed[name] / row.n) for name in names),
          NA if row.tau is None else f"{row.tau:.2f}"]
         for row in (found.marginals if found is not None else ())
     ]  # fmt: skip
+    return "Along each axis", ["axis", "value", "trials of each policy", *names, "tau with the overall order"], rows
 
 
-def level_tables(table: SweepTable) -> list[tuple[str, Sequence[str], list[list[str]]]]:
-    """Return title, heads and rows of what the table has of draws, levels, factors and gates."""
-    found: list[tuple[str, Sequence[str], list[list[str]]]] = []
+def level_tables(table: SweepTable) -> list[Table]:
+    """Return what the table has of draws, levels, factors and gates."""
+    found: list[Table] = []
+    metrics = headlines()
     if table.bands is not None:
-        found.append(("Spread over the draws", spread_heads(), spread_rows(table.bands, table.named)))
-        found.append(("Draws in which two policies change places", flip_heads(), flip_rows(table.bands)))
+        heads = ["policy", "task", "passed", *(metric.label for metric in metrics)]
+        found.append(("Spread over the draws", heads, spread_rows(table.bands, table.named)))
+        heads = ["policies", "task", "passed", *(metric.name for metric in metrics)]
+        found.append(("Draws in which two policies change places", heads, flip_rows(table.bands)))
     if table.ladder is not None:
         found.append(("Success over level", LEVEL_HEADS, level_rows(table.ladder)))
-        found.append(("By task", task_heads(table.ladder), task_rows(table.ladder)))
+        found.append(("By task", ["level", "policy", *table.ladder.tasks], task_rows(table.ladder)))
         found.append(("Methods against each other", CONTRAST_HEADS, contrast_rows(table.ladder)))
     if table.factors is not None:
         found.append(("One factor at a time", FACTOR_HEADS, factor_rows(table.factors)))
     titles = gate_titles([score for row in table.rows for score in row.cell.scores])
-    found.append(("The order under other gates", gate_heads(table.gate_orders), gate_rows(table.gate_orders, titles)))
+    heads = ["gate", *map(level_name, dict.fromkeys(order.place for order in table.gate_orders))]
+    found.append(("The order under other gates", heads, gate_rows(table.gate_orders, titles)))
     return [one for one in found if one[2]]
 
 

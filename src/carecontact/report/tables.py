@@ -13,8 +13,6 @@ from carecontact.scoring.metrics.metric import METRICS, Metric, described, metri
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Median, Proportion, median, wilson_interval
 
-# The per-task summary of one run.
-
 POOLED = "all"
 COUNTS = ("task", "name", "n", "success", "region-correct", "safety-gated")
 
@@ -114,8 +112,6 @@ def counts_of(task_id: str, name: str, group: Sequence[TrialScore], *, unknown: 
     )
 
 
-# Trials above a force limit: the safety gate, the protocol's pain limits, and every other pack of limits.
-
 Ratio = Callable[[TrialScore, str], float]
 
 
@@ -203,9 +199,6 @@ def _gate_ratio(gamma: float | None) -> Ratio | None:
     return None if gamma is None else lambda score, segment: _pain_ratio(score, segment) / gamma
 
 
-# How hard and how long the person was touched: a median of every metric, task by task.
-
-
 @dataclass(frozen=True, kw_only=True)
 class LoadRow:
     """One metric: a median for each task and, last, one over all trials."""
@@ -279,8 +272,6 @@ def _metrics(scores: Sequence[TrialScore]) -> list[Metric]:
     with_field = [metric for metric in METRICS.values() if metric.field is not None] if scores else []
     return sorted([*with_field, *map(described, further)], key=lambda metric: (metric.order, metric.id))
 
-
-# How many trials pass what nursing studies ask of a wipe: the yes-or-no metrics, for the soft mitt alone.
 
 ASKED = ("effective", "comfortable", "comfortable_fragile")
 """Names of the yes-or-no metrics; of each, the newest version counts by which the trials were scored."""

@@ -18,8 +18,6 @@ from carecontact.report.svg import Axes, Drawing, inside, nice_ticks, with_unit
 from carecontact.scoring.contact import Contact, find_contact
 from carecontact.scoring.metrics.success import judge
 
-# What happened in a trial and when: the marks on its time axis.
-
 TENSE_S = 0.1
 """Time before the recorded onset of a movement at which the person's muscles begin to tense [s] (RISE in
 ``tissue/c/life.c``)."""
@@ -181,8 +179,8 @@ def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Ev
     """
     head = HEAD if events else NO_EVENTS_HEAD
     height = head + (TITLE + PANEL) * len(panels) + FOOT
-    told = "; ".join(f"{letter(i)}: {event.text} at {event.time_s:.2f} s" for i, event in enumerate(events))
-    drawing = Drawing(width=WIDTH, height=height, style="timeline", title=f"Time course of the trial. {told}")
+    listing = "; ".join(f"{letter(i)}: {event.text} at {event.time_s:.2f} s" for i, event in enumerate(events))
+    drawing = Drawing(width=WIDTH, height=height, style="timeline", title=f"Time course of the trial. {listing}")
     end = float(trace.time_s[-1]) or 1.0
     rows = [_axes(drawing, head + number * (TITLE + PANEL), panel, end) for number, panel in enumerate(panels)]
     for axes in rows:
@@ -222,8 +220,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     outside = [c for c in panel.curves if not ((c.values >= panel.low) & (c.values <= panel.high)).any()]
     for row, curve in enumerate(outside):
         name = "commanded" if curve.style == "commanded" else "reached"
-        told = f"{name}: farther than {1000 * OUT_M:g} mm throughout"
-        drawing.text("label", axes.left + axes.width / 2, axes.top + 20 + 18 * row, told, anchor="middle")
+        note = f"{name}: farther than {1000 * OUT_M:g} mm throughout"
+        drawing.text("label", axes.left + axes.width / 2, axes.top + 20 + 18 * row, note, anchor="middle")
     for curve in panel.curves:
         times, values = decimate(curve.time_s, curve.values, buckets=int(axes.width))
         points = np.array([axes.point(t, v) for t, v in zip(times.tolist(), values.tolist(), strict=True)])

@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from carecontact import __version__
 from carecontact.errors import counted
 from carecontact.interface.regions import REGIONS
 from carecontact.recording.file import replace_file
@@ -32,7 +31,7 @@ from carecontact.report.links import (
     report_link,
     shortened,
 )
-from carecontact.report.looks import action_table, card_rows, latency_text, looks_of, not_shown_text
+from carecontact.report.looks import action_rows, card_rows, looks_of, sent_views
 from carecontact.report.miss import drawn_svg, is_hidden, miss_svg, nearest_miss
 from carecontact.report.moment import (
     Moment,
@@ -40,17 +39,14 @@ from carecontact.report.moment import (
     peak_svg,
     place_notes,
     place_text,
-    region_column,
-    region_poses,
 )
+from carecontact.report.run_page import render
 from carecontact.report.skin_view import noted_targets, paths, skin_views
 from carecontact.report.svg import jpeg_data_uri
 from carecontact.report.timeline import OUT_M, Panel, events, letter, panels_of, timeline_svg
 from carecontact.report.words import (
-    NA,
     beyond_text,
     consumed_text,
-    number,
     percent,
     short_names,
     shown,
@@ -64,10 +60,7 @@ from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.force import peak_of_segments
 from carecontact.scoring.metrics.metric import METRICS, Metric, newest
 from carecontact.scoring.metrics.success import judge
-from carecontact.scoring.progress import distance_to_surface, points_in_region
 from carecontact.scoring.result import TrialScore
-
-# Every gate that a trial had to pass, beside what it reached: those of its action, of its region and of safety.
 
 BROKEN: tuple[EndReason, ...] = ("process_failure", "harness_error")
 """A trial that ended so passes no gate, whatever was reached."""
@@ -133,9 +126,6 @@ def _joints(score: TrialScore, most_rad: float) -> GatePart:
     )
 
 
-# What happened in one trial, in sentences.
-
-
 def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
     """Return the heading of the page; ``gates``: every gate of the trial, as ``gate_parts`` returns them."""
     header, name = contact.recording.header, f"{score.task_id} {task_name(score)}, seed {score.seed},"
@@ -174,16 +164,17 @@ def mode_text(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) ->
     if score.failure_mode not in held or not missed:
         return MODE_MEANING.get(score.failure_mode or "", "")
     first, which = missed[0], "namely" if len(missed) == 1 else "first"
-    told = f"“{first.name}”: {first.reached}, {first.needed} needed"
-    return spaced(f"{held[score.failure_mode]}; the trial missed {counted(len(missed), 'gate')}, {which} {told}")
+    gate = f"“{first.name}”: {first.reached}, {first.needed} needed"
+    return spaced(f"{held[score.failure_mode]}; the trial missed {counted(len(missed), 'gate')}, {which} {gate}")
 
 
 def _held(contact: Contact) -> str:
     """Return how often and how long the person was touched by contact that counts."""
     on = any_column(contact.on, contact.touched)
     times, held_s = len(runs(on)), int(on.sum()) * contact.dt_s
-    told = "touched without interruption for" if times == 1 else f"touched {times} times, for"
-    return f"{told} {held_s:.2f} s{'' if times == 1 else ' in all'}"
+    if times == 1:
+        return f"touched without interruption for {held_s:.2f} s"
+    return f"touched {times} times, for {held_s:.2f} s in all"
 
 
 def facts(
@@ -194,16 +185,18 @@ def facts(
     ``gates`` as for ``outcome``.
     """
     recording = contact.recording
-    rows = [("Progress", spaced(progress(score)))] if score.valid_contact else []
+    rows: list[tuple[str, str]] = []
     if score.is_crash:
-        rows.insert(0, ("Failure", "process failure. It counts as a failure of the policy; what the policy did to the "
-                        "person before counts as well."))  # fmt: skip
-        rows.insert(1, ("Evidence", evidence_text(score) or "none recorded"))
+        counts = "It counts as a failure of the policy; what the policy did to the person before counts as well."
+        rows.append(("Failure", f"process failure. {counts}"))
     elif score.failure_mode:
         mode, cause = score.failure_mode.replace("_", " "), score.attribution or "unattributed"
-        rows.insert(0, ("Failure", f"{mode}. {_capital(mode_text(score, contact, gates))}."))
-        rows.insert(1, ("Cause", f"{cause}. {_capital(cause_text(score))}."))
-        rows.insert(2, ("Evidence", evidence_text(score) or "none recorded"))
+        rows.append(("Failure", f"{mode}. {_capital(mode_text(score, contact, gates))}."))
+        rows.append(("Cause", f"{cause}. {_capital(cause_text(score))}."))
+    if rows:
+        rows.append(("Evidence", evidence_text(score) or "none recorded"))
+    if score.valid_contact:
+        rows.append(("Progress", spaced(progress(score))))
     rows.append(("How hard", how_hard(score, contact, moment)))
     if beyond := beyond_text(score):
         rows.append(("Joints beyond their range", f"{_capital(beyond)}, farther than the protocol allows."))
@@ -216,7 +209,8 @@ def facts(
             deepest_m, deepest_s = moment.deepest
             largest = f"at most {1000 * deepest_m:.1f} mm in the trial, at {deepest_s:.2f} s"
             rows.append(("How deep", f"{1000 * moment.depth_m:.1f} mm at that moment; {largest}."))
-    rows.append(("End", _end(score, recording.header)))
+    header = recording.header
+    rows.append(("End", f"After {score.duration_s:.2f} s, {ENDS[header.ended]}{_why(header)}."))
     return rows
 
 
@@ -225,8 +219,13 @@ def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
     no contact counts, one that says what happened instead."""
     protocol = contact.protocol
     if score.c1_peak_force_n is None or score.reported_segment is None:
-        faint = faint_press(contact)
-        return f"The robot {faint}." if faint else f"The robot never touched the person{_closest(contact.recording)}."
+        if faint := faint_press(contact):
+            return f"The robot {faint}."
+        miss = nearest_miss(contact.recording)
+        if miss is None:
+            return "The robot never touched the person."
+        near = f"the tip of the tool came to {1000 * miss.away_m:.0f} mm from the region, at {miss.time_s:.2f} s"
+        return f"The robot never touched the person; {near}."
     pain = protocol.f_pain(score.reported_segment)
     gate = protocol.limits.gamma * pain
     own = "" if score.reported_segment == REGIONS[score.region].segment else ", which is not the named region's segment"
@@ -238,25 +237,13 @@ def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
     )
 
 
-def _closest(recording: Recording) -> str:
-    """Return how near the tool's tip came to the region, and when; empty for a trial without a physics step."""
-    tip = recording["scorer/pose_tcp_in_world"][:, :3].astype(np.float64)
-    if not len(tip):
-        return ""
-    size = recording["scorer/region_size_m"][region_column(recording)]
-    away = distance_to_surface(points_in_region(tip, region_poses(recording)), size)
-    nearest = int(away.argmin())
-    time_s = float(recording["scorer/time_s"][nearest])
-    return f"; the tip of the tool came to {1000 * max(away[nearest], 0.0):.0f} mm from the region, at {time_s:.2f} s"
-
-
-def _end(score: TrialScore, header: Header) -> str:
-    told = {
-        "done": "the policy said that it was done", "time_limit": "the time limit was reached",
-        "safety_truncation": "the benchmark cut the trial", "process_failure": "the policy crashed",
-        "harness_error": "the harness failed",
-    }[header.ended]  # fmt: skip
-    return f"After {score.duration_s:.2f} s, {told}{_why(header)}."
+ENDS: dict[EndReason, str] = {
+    "done": "the policy reported that it was done",
+    "time_limit": "the time limit was reached",
+    "safety_truncation": "the benchmark cut the trial",
+    "process_failure": "the policy crashed",
+    "harness_error": "the harness failed",
+}
 
 
 def _why(header: Header) -> str:
@@ -268,8 +255,6 @@ def _why(header: Header) -> str:
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
-
-# What other policies did in the same trial: the same task and person under the same protocol.
 
 ROLE_NOTES = {"blind": "blind baseline", "privileged": "ceiling: it is given the simulation", "probe": "probe"}
 
@@ -291,20 +276,14 @@ class Beside:
 
 @dataclass(frozen=True, kw_only=True)
 class OtherRow:
-    """What one policy did."""
+    """What one policy did in the trial."""
 
     name: str
-    whole: str
-    """Name with arguments; empty where it is ``name``."""
     note: str
     """What the policy is for, if it is no method."""
-    result: str
-    """Style of the result; the words are in ``result_text``."""
-    result_text: str
-    peak: str
-    """Peak force [N]."""
-    mode: str
-    """Failure mode; empty if none."""
+    score: TrialScore
+    result: tuple[str, str]
+    """Style and words."""
     address: str
     """Address of the page of its trial; empty where there is none."""
 
@@ -317,7 +296,23 @@ def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) ->
     """
     found = [(row, row.scores[key]) for row in beside if (key := (score.task_id, score.seed)) in row.scores]
     names = short_names([other.policy_title for _, other in found])
-    return [_row(names[other.policy_title], other, row, run_folder) for row, other in found]
+    return [
+        OtherRow(
+            name=names[other.policy_title],
+            note=ROLE_NOTES.get(row.role, ""),
+            score=other,
+            result=result_word(other),
+            address=_address(row, other, run_folder),
+        )
+        for row, other in found
+    ]
+
+
+def _address(row: Beside, other: TrialScore, run_folder: Path) -> str:
+    if row.folder is None or not (page := page_path(row.folder, other.trial_id)).is_file():
+        return ""
+    here = page_path(run_folder, other.trial_id).parent
+    return quote(os.path.relpath(page.resolve(), here.resolve()))
 
 
 def how_to_compare(score: TrialScore, run_folder: Path) -> tuple[str, ...]:
@@ -326,23 +321,6 @@ def how_to_compare(score: TrialScore, run_folder: Path) -> tuple[str, ...]:
     if role_in([score]) != "method" or score.ended == "harness_error":
         return ()
     return replay_commands([score], run_folder, trials=True)
-
-
-def _row(name: str, other: TrialScore, row: Beside, run_folder: Path) -> OtherRow:
-    result, text = result_word(other)
-    page = None if row.folder is None else page_path(row.folder, other.trial_id)
-    from_here = page_path(run_folder, other.trial_id).parent
-    linked = page is not None and page.is_file()
-    return OtherRow(
-        name=name,
-        whole="" if name == other.policy_title else other.policy_title,
-        note=ROLE_NOTES.get(row.role, ""),
-        result=result,
-        result_text=text,
-        peak=NA if other.c1_peak_force_n is None else number(other.c1_peak_force_n, 1),
-        mode=(other.failure_mode or "").replace("_", " "),
-        address=quote(os.path.relpath(page.resolve(), from_here.resolve())) if linked and page is not None else "",
-    )
 
 
 # One self-contained page about one trial: no network, no script, the same bytes for the same inputs.
@@ -370,35 +348,39 @@ def write_trial_page(
 
 
 def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: Sequence[Beside]) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    loader = PackageLoader("carecontact.report")
-    environment: Any = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )  # fmt: skip
+    looks, left_out = looks_of(recording, read_notes(recording))
+    took = recording.arrays.get("wall/act_s", np.zeros(0))
+    printed = recording.arrays.get("wall/policy_output")
+    files = {"recording": f"{score.trial_id}.h5", "log": f"{score.trial_id}.log"}
+    video = page_path(run_folder, score.trial_id).with_suffix(".mp4")
     own, foreign = (_metrics(score, concerned=concerned) for concerned in (True, False))
-    return environment.get_template("trial.html.j2").render(
-        version=__version__,
+    return render(
+        "trial.html.j2",
         score=score,
+        policy=recording.header.spec.policy,
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
         report_link=report_link(run_folder, score.trial_id),
         neighbours=neighbour_links(run_folder, score.trial_id),
-        links=_links(run_folder, score.trial_id),
-        video=_beside(run_folder, score.trial_id, ".mp4"),
-        peak=NA if score.c1_peak_force_n is None else number(score.c1_peak_force_n, 1),
+        links=[(words, f"../{name}") for words, name in files.items() if (run_folder / name).is_file()],
+        video=video.name if video.is_file() else None,
         others=other_rows(score, beside, run_folder),
         how_to_compare=how_to_compare(score, run_folder),
         metrics=own,
         other_metrics=foreign,
         metrics_note=footnote(title for title, *_ in (*own, *foreign)),
-        printed=_printed(recording),
-        not_printed=_not_printed(recording),
+        printed=None if printed is None else printed.tobytes().decode("utf-8", errors="replace"),
         failure=recording.header.failure,
         rejected=rejected_text([score]),
         **_contact(recording, score),
-        **_policy(recording),
+        looks=looks,
+        left_out=left_out,
+        sent=sent_views(recording),
+        card=card_rows(recording.header),
+        took=took,
+        took_median=float(np.median(took)) if took.size else None,
+        joints="actions/joint" in recording.arrays,
+        actions=action_rows(recording),
     )
 
 
@@ -445,33 +427,6 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     }
 
 
-def _policy(recording: Recording) -> dict[str, Any]:
-    """Return what the policy saw and did."""
-    looks, left_out = looks_of(recording, read_notes(recording))
-    return {
-        "looks": looks,
-        "not_shown": not_shown_text(recording, left_out),
-        "card": card_rows(recording.header),
-        "latency": latency_text(recording),
-        "actions": action_table(recording),
-    }
-
-
-def _links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Return words and address of each file in the run's folder, the report aside, to which the page links."""
-    files = (
-        ("recording", f"{trial_id}.h5", f"../{trial_id}.h5"),
-        ("log", f"{trial_id}.log", f"../{trial_id}.log"),
-    )
-    return [(words, address) for words, name, address in files if (run_folder / name).is_file()]
-
-
-def _beside(run_folder: Path, trial_id: str, ending: str) -> str | None:
-    """Name of a file beside the page; None where it is not there."""
-    path = page_path(run_folder, trial_id).with_suffix(ending)
-    return path.name if path.is_file() else None
-
-
 def _metrics(score: TrialScore, *, concerned: bool) -> list[tuple[str, str, str]]:
     """Return title, value and unit of the newest version of every metric that the trial has a value of.
 
@@ -495,20 +450,3 @@ def _with_unit(metric: Metric, value: float) -> tuple[str, str]:
         return ("yes" if value else "no"), ""
     factor, unit = shown_unit(metric)
     return shown(factor * value, digits=metric.digits, unit=unit), unit
-
-
-def _printed(recording: Recording) -> str:
-    stored = recording.arrays.get("wall/policy_output")
-    return "" if stored is None else stored.tobytes().decode("utf-8", errors="replace")
-
-
-def _not_printed(recording: Recording) -> str:
-    """Return why the page shows nothing that the policy printed."""
-    if "://" in recording.header.spec.policy:
-        return (
-            f"The recording cannot have it: the policy ran behind {recording.header.spec.policy}, outside the "
-            "benchmark's processes. What it printed is where that server runs."
-        )
-    if "wall/policy_output" not in recording.arrays:
-        return "The recording does not say what the policy printed."
-    return "The policy printed nothing."

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# What all pictures of notes share: their title, the frame under them, who wrote the programs.
-
 F64 = npt.NDArray[np.float64]
 U8 = npt.NDArray[np.uint8]
 
@@ -51,8 +49,9 @@ def title(figure: Figure, recording: Recording, text: str) -> None:
     prompt = spec.protocol.task(spec.task_id).prompt
     height = figure.get_figheight()
     figure.text(0.012, 1 - 0.36 / height, f"“{prompt}”", size=18, weight="bold", color=INK, va="center")
-    figure.text(0.012, 1 - 0.70 / height, f"{spec.trial_id}, {spec.protocol.title}: {text}", size=11, color=FAINT,
-                va="center")  # fmt: skip
+    figure.text(
+        0.012, 1 - 0.70 / height, f"{spec.trial_id}, {spec.protocol.title}: {text}", size=11, color=FAINT, va="center"
+    )
 
 
 def language(notes: list[Note]) -> str:
@@ -63,8 +62,6 @@ def language(notes: list[Note]) -> str:
     backends = sorted({str(call["backend"]) for call in calls})
     return f"language: {', '.join(backends)}, {len(calls)} completions"
 
-
-# VoxPoser's value maps over what the camera saw, the paths that followed, and what the other maps made of them.
 
 OBJECTIVE, TARGET, BOX = "#ff9d2e", CHOSEN, "#7df9ff"
 LEVELS = {"cost": "cost", "avoidance": "avoided: written and seen", "distance": "distance to the target [voxel]"}
@@ -128,11 +125,11 @@ def motions_of(recording: Recording, notes: list[Note]) -> list[Motion]:
         # A look that ended an objective may have planned the next motion as well: that note tells both.
         later = [n for n in looks if "progress" in n.content and "path_m" not in n.content]
         over = [n for n in notes[end : end + 1] if later and "progress" in n.content]
-        told = [*later, *over]
-        pursued = [n for n in told if n.content.get("pursuing", n is not told[-1])]
+        progress = [*later, *over]
+        pursued = [n for n in progress if n.content.get("pursuing", n is not progress[-1])]
         motions.append(
             Motion(
-                first=notes[k], looks=looks, progress=[n.content for n in told],
+                first=notes[k], looks=looks, progress=[n.content for n in progress],
                 objective_m=[_sent(recording, n.observation_index) for n in pursued],
             )
         )  # fmt: skip
@@ -342,8 +339,9 @@ def _along(axes: Axes, motion: Motion, key: str, label: str, *, values: list[flo
     if kept is None:
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.text(0.5, 0.5, "not in this recording", size=8, color=FAINT, ha="center", va="center",
-                  transform=axes.transAxes)  # fmt: skip
+        axes.text(
+            0.5, 0.5, "not in this recording", size=8, color=FAINT, ha="center", va="center", transform=axes.transAxes
+        )
         return
     numbers = np.array([np.nan if v is None else v for v in cast("list[float | None]", kept)])
     steps = np.linalg.norm(np.diff(np.array(content["path_m"]), axis=0), axis=1)

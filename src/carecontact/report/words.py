@@ -8,8 +8,6 @@ from carecontact.errors import counted
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 
-# Numbers and names as every table and page writes them.
-
 NA = "NA"
 NOT_DEFINED = "–"
 """Marks a score that is not pooled over this task. NA, in contrast, means that no trial had a value."""
@@ -55,6 +53,10 @@ def percent(fraction: float) -> str:
     return f"{100 * fraction:.0f}\N{NO-BREAK SPACE}%"
 
 
+def minus(text: str) -> str:
+    return text.replace("-", "−")
+
+
 def task_name(score: TrialScore) -> str:
     return f"{score.action} {score.region.replace('_', ' ')}".capitalize()
 
@@ -83,9 +85,6 @@ def crashed_text(scores: Sequence[TrialScore]) -> str:
     return f"crashed in {len(crashed)}: {listed(crashed)}" if crashed else ""
 
 
-# The units in which tables show the values of metrics.
-
-
 def shown_unit(metric: Metric) -> tuple[float, str]:
     """Return a factor and the unit of a metric's values times this factor; the unit of a plain number is empty.
 
@@ -95,8 +94,6 @@ def shown_unit(metric: Metric) -> tuple[float, str]:
         return 1000.0, f"m{metric.unit}"
     return 1.0, "" if metric.unit == "1" else metric.unit
 
-
-# Whether a run has enough seeds for an interval to mean anything.
 
 SEEDS_FOR_INTERVAL = 6
 """Least number of seeds for an interval. With fewer pairs, not even a difference in every one of them is significant:
@@ -113,8 +110,6 @@ def enough(seeds: int | set[int]) -> bool:
     tasks are no more seeds."""
     return (seeds if isinstance(seeds, int) else len(seeds)) >= SEEDS_FOR_INTERVAL
 
-
-# Policies named so briefly that several fit into one cell of a table.
 
 LONGEST = 20
 """Characters of a short name; a longer one is cut."""
@@ -140,9 +135,6 @@ def _bare(title: str) -> str:
     if "://" not in name:
         name = name.rpartition(":")[2]
     return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
-
-
-# What the gate for joints found, in words; empty where the protocol has none.
 
 
 def beyond_text(score: TrialScore) -> str:

@@ -15,19 +15,22 @@ import numpy as np
 
 from carecontact.episode.episode import Episode
 from carecontact.episode.randomization import settled_world
-from carecontact.errors import ActionError, PolicyError
+from carecontact.errors import ActionError, PolicyError, counted
 from carecontact.interface.action import Action, looks_like_millimetres
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import ActionBounds
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.reason import TRACEBACK, reason, remedies
-from carecontact.running.trial import CheckFinding, Level, look_at
+from carecontact.running.check_answers import CheckFinding, Level, look_at
 from carecontact.serving.conversation import BUDGET_S, PolicyConversation, PolicySetup
 from carecontact.serving.opening import open_policy
 
 if TYPE_CHECKING:
     from carecontact.running.check_server import ServerCheck
+
+TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
+"""Kind of a policy's failure -> topic, where the kind itself would not do."""
 
 
 @dataclass(kw_only=True)
@@ -39,8 +42,8 @@ class Check:
     on_finding: Callable[[CheckFinding], None]
     weights: Path | None = None
     pictures: Path | None = None
-    """Folder into which the pictures that are sent are written, for the deep check (``trials.deep``); None: without
-    it."""
+    """File into which the pictures that are sent are written, for the deep check (``running.check_server``); None:
+    without it."""
     warnings: int = 0
     """Number of warnings so far."""
     times: dict[str, float] = field(default_factory=dict[str, float])
@@ -59,7 +62,11 @@ class Check:
             try:
                 with self._timed("start"):
                     card = conversation.start()
-                self._say("ok", "card", f"{_described(card)}; started in {self.times['start']:.2f} s")
+                seeing = (
+                    f"{', '.join(card.modalities)} of {', '.join(card.cameras)}" if card.modalities else "no images"
+                )
+                text = f"{card.name}: {seeing}, {card.action_space} at {card.control_hz:g} Hz"
+                self._say("ok", "card", f"{text}; started in {self.times['start']:.2f} s")
                 if deep is not None:
                     deep.greeted(card)
                 with Episode(spec, card=card, prepare=lambda _: world.result(), weights=self.weights) as episode:
@@ -86,14 +93,17 @@ class Check:
         from carecontact.running.check_server import ServerCheck
 
         return ServerCheck(
-            spec=self.spec, policy=self.policy, pictures=self.pictures, say=self._tell, reopen=self._opened
+            spec=self.spec, policy=self.policy, pictures=self.pictures, on_finding=self._report, reopen=self._opened
         )
 
     def _fail(self, error: PolicyError) -> None:
         topic = "connection" if self.policy.ref.kind == "remote" and error.kind == "start" else error.kind
         why, whole = reason(str(error)), str(error)
-        text = whole if why in whole.partition("\n")[0] else f"{why}\n{whole}" if _says_more(whole) else why
-        self._say("error", _TOPICS.get(topic, topic), text)
+        first, *more = whole.splitlines() or [whole]
+        # The rest says more than its reason if it holds a frame of the policy's, or what the policy printed.
+        says_more = len([line for line in more if line != TRACEBACK]) > 1
+        text = whole if why in first else f"{why}\n{whole}" if says_more else why
+        self._say("error", TOPICS.get(topic, topic), text)
         for remedy in remedies(whole):
             self._say("hint", "", remedy)
 
@@ -109,23 +119,27 @@ class Check:
             policy.reset(episode.instruction, episode.session)
         self._say("ok", "reset", f"ready after {self.times['reset']:.2f} s")
         answers: list[list[Action]] = []
-        moved: list[bool] = []
+        outside: list[list[Action]] = []
         for name in ("first", "second"):
             with self._timed(name):
                 answers.append(policy.act(observation).actions)
+            outside.append([])
             for number, action in enumerate(answers[-1]):
                 try:
-                    moved.append(episode.check(action)[1])
+                    outside[-1] += [action] if episode.check(action)[1] else []
                 except ActionError as error:
                     policy.refuse(number, error)
-        self._say("ok", "answer", self._answered(answers[0], card))
-        if outside := [a for a, was_moved in zip(answers[0], moved, strict=False) if was_moved]:
+        seconds = len(answers[0]) / card.control_hz
+        count = f"{counted(len(answers[0]), 'action')} for {seconds:.2f} s"
+        took = f"first call {self.times['first']:.2f} s, second call {self.times['second']:.2f} s"
+        self._say("ok", "answer", f"{count}; {took}")
+        if outside[0]:
             place = "joint limits" if episode.space.in_joints else "workspace"
-            many = f"{len(outside)} of {len(answers[0])} targets are outside the {place}"
+            many = f"{len(outside[0])} of {len(answers[0])} targets are outside the {place}"
             text = f"{many}; the card requests that they are moved onto its border"
-            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
+            self._say("warning", "clipped", f"{text}{_unit(outside[0][0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):
-            self._tell(finding)
+            self._report(finding)
         if deep is not None:
             deep.answered(answers[1], observation)
         if not self._keeps_pace(len(answers[1]), card):
@@ -134,11 +148,6 @@ class Check:
             deep.ask_again(policy, observation, episode)
         return True
 
-    def _answered(self, actions: list[Action], card: PolicyCard) -> str:
-        seconds = len(actions) / card.control_hz
-        count = f"{len(actions)} action{'' if len(actions) == 1 else 's'} for {seconds:.2f} s"
-        return f"{count}; first call {self.times['first']:.2f} s, second call {self.times['second']:.2f} s"
-
     def _keeps_pace(self, count: int, card: PolicyCard) -> bool:
         """Whether a trial with answers of this latency fits its budget of wall time. Simulated time stands still while
         a policy computes, but the budget counts this time."""
@@ -146,10 +155,8 @@ class Check:
         limit_s = self.spec.protocol.phases.time_limit_s
         whole_s = took * limit_s / seconds
         if whole_s > BUDGET_S:
-            text = (
-                f"a trial of {limit_s:g} s would take {whole_s:.0f} s of the policy's time, {BUDGET_S:g} s are allowed"
-            )
-            self._say("error", "slow answer", f"{text}: answer with more actions at a time, or faster")
+            text = f"a trial of {limit_s:g} s would take {whole_s:.0f} s of the policy's time, {BUDGET_S:g} s are"
+            self._say("error", "slow answer", f"{text} allowed: answer with more actions at a time, or faster")
             return False
         if took > seconds:
             text = f"{took:.2f} s for {seconds:.2f} s of motion: a real robot would wait, and a trial of {limit_s:g} s"
@@ -157,9 +164,9 @@ class Check:
         return True
 
     def _say(self, level: Level, topic: str, text: str) -> None:
-        self._tell(CheckFinding(level=level, topic=topic, text=text))
+        self._report(CheckFinding(level, topic, text))
 
-    def _tell(self, finding: CheckFinding) -> None:
+    def _report(self, finding: CheckFinding) -> None:
         self.warnings += finding.level == "warning"
         self.on_finding(finding)
 
@@ -170,23 +177,9 @@ class Check:
         self.times[name] = time.monotonic() - started
 
 
-_TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
-"""Kind of a policy's failure -> topic, where the kind itself would not do."""
-
-
 def _unit(outside: Action, bounds: ActionBounds) -> str:
     if outside.pose_tcp_in_base is None:
         return ""
     position = np.asarray(outside.pose_tcp_in_base)[:3]
     meant = looks_like_millimetres(position, np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m))
     return f"; the first of them {meant}" if meant else ""
-
-
-def _says_more(failure: str) -> bool:
-    """Whether a failure tells more than its reason: it holds a frame of the policy's, or what the policy printed."""
-    return len([line for line in failure.splitlines()[1:] if line != TRACEBACK]) > 1
-
-
-def _described(card: PolicyCard) -> str:
-    seen = f"{', '.join(card.modalities)} of {', '.join(card.cameras)}" if card.modalities else "no images"
-    return f"{card.name}: {seen}, {card.action_space} at {card.control_hz:g} Hz"

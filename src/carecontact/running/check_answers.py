@@ -1,23 +1,29 @@
-"""The numbers and pictures of an answer, column by column, beside what they should be."""
+"""What the numbers of an answer reveal about common mistakes: differences, degrees, quaternion order, polarity.
+
+None of these breaks the contract, so a trial would run and fail for a reason that no score names.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw, ImageFont
 
-from carecontact.errors import ConfigError
-from carecontact.interface.action import Action
-from carecontact.running.trial import CheckFinding
-
-# Looks at the numbers of an answer, column by column, and compares them with what they should be.
+from carecontact.interface.action import NEAR_BASE_M, Action
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.interface.observation import Observation
 
 F64 = npt.NDArray[np.float64]
+Level = Literal["ok", "warning", "error", "hint", "wait"]
 
+FAR_M = 0.25
+"""Distance of a first target from the tool that counts as far: a second of the fastest motion."""
+WRONG_TURN_DEG, RIGHT_TURN_DEG = 90.0, 45.0
+"""A first target that turns the tool by more, and by less if its quaternion is read as x y z w, has the other order."""
+HALF_OPEN = 0.5
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 NEARER = 0.5
 """Numbers look like targets if they are nearer to the joint angles than to zero by this factor, and the reverse."""
@@ -30,9 +36,63 @@ OPEN, CLOSED = 0.25, 0.75
 """Below the first value a gripper command means open, above the second closed, in the convention of DROID's data."""
 
 
+@dataclass(frozen=True)
+class CheckFinding:
+    """One line of a check."""
+
+    level: Level
+    topic: str
+    text: str
+    """Text, whose first line stands beside level and topic, and whose other lines stand below it."""
+
+
+def look_at(actions: Sequence[Action], observation: Observation) -> Iterator[CheckFinding]:
+    """Yield warnings about an answer. A pose that the trial will refuse gives none: the refusal says more."""
+    opened = [action.gripper for action in actions if action.gripper is not None and action.gripper > HALF_OPEN]
+    reads = float(observation.gripper_position[0])
+    if opened and reads < HALF_OPEN:
+        text = (
+            f"the answer commands {opened[0]:g} while the gripper reads {reads:g}: here "
+            "1 is open and 0 is closed (DROID and openpi have 1 for closed); send 1 - g if your policy means closed"
+        )
+        yield _warning("gripper", text)
+    if actions[0].done:
+        yield _warning("done", "the first action ends the trial, before the robot moves")
+    for pose in (action.pose_tcp_in_base for action in actions):
+        if pose is not None and pose.shape == (7,) and np.isfinite(pose).all() and pose[3:].any():
+            yield from _look_at_pose(np.asarray(pose, np.float64), observation.pose_tcp_in_base)
+            return
+
+
+def _look_at_pose(target: F64, tool: F64) -> Iterator[CheckFinding]:
+    distance = float(np.linalg.norm(target[:3] - tool[:3]))
+    place, at = (" ".join(f"{value:.2f}" for value in pose[:3]) for pose in (target, tool))
+    where = f"the first target is at {place} m and the tool at {at} m in base"
+    if np.linalg.norm(target[:3]) < NEAR_BASE_M:
+        yield _warning("difference", f"{where}: send absolute poses of the tool, not differences to it")
+    elif distance > FAR_M:
+        text = f"{where}, {distance:.2f} m away: check frame (base of the robot) and unit (metres)"
+        yield _warning("position", text)
+    turned, reordered = _angle_deg(target[3:], tool[3:]), _angle_deg(np.roll(target[3:], 1), tool[3:])
+    turn = f"the first target turns the tool by {turned:.0f} degrees"
+    if turned > WRONG_TURN_DEG and reordered < RIGHT_TURN_DEG:
+        text = f"{turn}, or by {reordered:.0f} if x y z w was meant: send quaternions in the order w x y z"
+        yield _warning("quaternion", text)
+    elif turned > WRONG_TURN_DEG:
+        yield _warning("orientation", f"{turn}: its z axis points out of the tool")
+
+
+def _angle_deg(a: F64, b: F64) -> float:
+    turn = matrix_from_quat(a / np.linalg.norm(a)).T @ matrix_from_quat(b / np.linalg.norm(b))
+    return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+
+
 def numbers_of(actions: Sequence[Action]) -> F64:
     """Return all numbers (steps, columns) of actions, field by field; a missing number is 0."""
-    rows = [np.concatenate([_numbers(getattr(action, field.name)) for field in fields(Action)]) for action in actions]
+    rows: list[F64] = []
+    for action in actions:
+        values = (getattr(action, field.name) for field in fields(Action))
+        rows.append(np.concatenate([np.ravel(np.asarray(0 if v is None else v, np.float64)) for v in values]))
     width = max(map(len, rows))
     return np.array([np.pad(row, (0, width - len(row))) for row in rows])
 
@@ -51,13 +111,15 @@ def table(values: F64, *, now: F64, kind: str) -> list[str]:
         now: (joints,) present joint angles [rad].
         kind: ``joints``, or ``poses`` for poses of the tool.
     """
+    names = POSE if kind == "poses" else (*(f"joint {k + 1}" for k in range(len(now))), "gripper")
     lines: list[str] = []
     for i, column in enumerate(values.T):
         known = column[np.isfinite(column)]
+        name = names[i] if i < len(names) else f"column {i + 1}, unknown"
         span = f"{known.min():9.3f} to {known.max():9.3f}" if known.size else "no number"
         wrong = f"; {column.size - known.size} of {column.size} are not finite" if known.size < column.size else ""
         angle = f"; the angle is {now[i]:.3f} rad" if kind == "joints" and i < len(now) else ""
-        lines.append(f"{_name(i, kind, len(now)):16}{span}{angle}{wrong}")
+        lines.append(f"{name:16}{span}{angle}{wrong}")
     return lines
 
 
@@ -66,35 +128,26 @@ def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[CheckFindin
     largest = float(np.abs(joints).max())
     from_now, from_zero = float(np.sqrt(((joints - now) ** 2).mean())), float(np.sqrt((joints**2).mean()))
     near = f"the actions differ from the joint angles by {from_now:.2f} and from zero by {from_zero:.2f} on average"
+    wrong = "checkpoint, profile or space is the wrong one"
     if space == "droid_joint_velocity":
         if largest > TURN_RAD:
-            yield _warning(
-                "degrees",
-                f"velocities of up to {largest:.0f}: these look like degrees; send velocities that are normalised to "
-                "[-1, 1]",
-            )
+            text = f"velocities of up to {largest:.0f}: these look like degrees; send velocities that are normalised to"
+            yield _warning("degrees", f"{text} [-1, 1]")
         elif from_now < NEARER * from_zero:
-            yield _warning(
-                "velocities",
-                f"{near}: they look like targets, but the action space is velocities: checkpoint, profile or space is "
-                "the wrong one",
-            )
+            text = f"{near}: they look like targets, but the action space is velocities: {wrong}"
+            yield _warning("velocities", text)
         elif largest > NORMALISED:
-            share = float((np.abs(joints) > 1).mean())
-            yield _warning(
-                "velocities",
-                f"{share:.0%} of the velocities lie beyond [-1, 1], up to {largest:.2f}, and are clipped: send "
-                "normalised velocities, not rad/s",
+            text = (
+                f"{(np.abs(joints) > 1).mean():.0%} of the velocities lie beyond [-1, 1], up to {largest:.2f}, and are "
+                "clipped: send normalised velocities, not rad/s"
             )
+            yield _warning("velocities", text)
     elif space == "joint_position":
         if largest > TURN_RAD:
             yield _warning("degrees", f"targets of up to {largest:.0f}: these look like degrees; send radians")
         elif from_zero < NEARER * from_now and largest <= NORMALISED:
-            yield _warning(
-                "targets",
-                f"{near}: they look like velocities or differences, but the action space is joint angles: checkpoint, "
-                "profile or space is the wrong one, or the server has to add the angles",
-            )
+            text = f"{near}: they look like velocities or differences, but the action space is joint angles: {wrong}"
+            yield _warning("targets", f"{text}, or the server has to add the angles")
 
 
 def look_at_gripper(commands: F64) -> Iterator[CheckFinding]:
@@ -108,104 +161,22 @@ def look_at_gripper(commands: F64) -> Iterator[CheckFinding]:
         yield _warning("gripper", text)
     elif high < OPEN:
         text = (
-            "the server is told that the gripper is closed (1) and commands an open one (0) in every step. It is "
-            "ignored; if the server means a closed one, its polarity is the opposite of DROID's"
+            "the observation says that the gripper is closed (1), and the server commands an open one (0) in every "
+            "step. It is ignored; if the server means a closed one, its polarity is the opposite of DROID's"
         )
-        yield CheckFinding(level="hint", topic="gripper", text=text)
+        yield CheckFinding("hint", "gripper", text)
 
 
-def look_at_polarity(told_closed: F64, told_open: F64) -> Iterator[CheckFinding]:
-    """Yield a warning if the commands follow the opposite convention to that in which the server is told the gripper's
-    state.
-
-    ``told_closed``, ``told_open``: the commands after the server was told that the gripper is closed, and open.
-    """
-    if told_closed.mean() < OPEN and told_open.mean() > CLOSED:
+def look_at_polarity(when_closed: F64, when_open: F64) -> Iterator[CheckFinding]:
+    """Yield a warning if the commands after an observation of a closed gripper, and of an open one, follow the opposite
+    convention to that of the observation."""
+    if when_closed.mean() < OPEN and when_open.mean() > CLOSED:
         text = (
-            "told that the gripper is closed (1), the server commands an open one (0), and the reverse: its polarity "
-            "looks like the opposite of DROID's, where 1 is closed"
+            "where the gripper is observed as closed (1), the server commands an open one (0), and the reverse: its "
+            "polarity looks like the opposite of DROID's, where 1 is closed"
         )
         yield _warning("gripper", text)
 
 
 def _warning(topic: str, text: str) -> CheckFinding:
-    return CheckFinding(level="warning", topic=topic, text=text)
-
-
-def _name(column: int, kind: str, joints: int) -> str:
-    if kind == "poses":
-        return POSE[column]
-    known = [*(f"joint {i + 1}" for i in range(joints)), "gripper"]
-    return known[column] if column < len(known) else f"column {column + 1}, unknown"
-
-
-def _numbers(value: object) -> F64:
-    return np.zeros(1) if value is None else np.ravel(np.asarray(value, np.float64))
-
-
-# Draws the pictures of one request on a sheet, pixel for pixel as they are sent.
-
-U8 = npt.NDArray[np.uint8]
-Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
-
-MARGIN_PX, LINE_PX, TEXT_PX, ROW_PX = 16, 18, 14, 1400
-PAPER, INK, FRAME = (255, 255, 255), (31, 42, 54), (220, 0, 160)
-"""Colours of the sheet. The frame lies around the pixels of a picture and covers none."""
-
-
-def check_sheet_path(path: Path) -> Path:
-    """Return the path. Raises ConfigError for a file format that would lose detail and for a folder that does not
-    exist.
-    """
-    if path.suffix.lower() != ".png":
-        raise ConfigError(f"--pictures {path}: expected a name that ends in .png, which keeps every pixel")
-    if not path.resolve().parent.is_dir():
-        raise ConfigError(f"--pictures {path}: there is no folder {path.parent}")
-    return path
-
-
-def save_sheet(pictures: Mapping[str, U8], path: Path, *, names: Mapping[str, str], title: str) -> None:
-    """Write all pictures beside each other, each at its own size and under its key.
-
-    Args:
-        pictures: key -> (H, W, 3) red green blue.
-        names: key -> name of our camera, where it is known.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
-    font = ImageFont.load_default(size=TEXT_PX)
-    labels = {
-        key: (key, f"{f'camera {names[key]}, ' if key in names else ''}{image.shape[1]} x {image.shape[0]} pixels")
-        for key, image in pictures.items()
-    }
-    place, (width, height) = _places(pictures, labels, title, font)
-    sheet = Image.new("RGB", (width, height), PAPER)
-    draw = ImageDraw.Draw(sheet)
-    draw.text((MARGIN_PX, MARGIN_PX), title, INK, font)
-    for key, (x, y) in place.items():
-        for i, line in enumerate(labels[key]):
-            draw.text((x, y + i * LINE_PX), line, INK, font)
-        top, (high, wide) = y + 2 * LINE_PX + 2, pictures[key].shape[:2]
-        draw.rectangle((x - 1, top - 1, x + wide, top + high), outline=FRAME)
-        sheet.paste(Image.fromarray(np.ascontiguousarray(pictures[key])), (x, top))
-    try:
-        sheet.save(path)
-    except OSError as error:
-        raise ConfigError(f"--pictures {path}: {error.strerror or error}") from None
-
-
-def _places(
-    pictures: Mapping[str, U8], labels: Mapping[str, tuple[str, str]], title: str, font: Font
-) -> tuple[dict[str, tuple[int, int]], tuple[int, int]]:
-    """Return key -> top left corner of its label, row after row, and the width and height of the sheet [px]."""
-    x, y, row_px, place = MARGIN_PX, 2 * MARGIN_PX + LINE_PX, 0, {}
-    width = int(font.getlength(title)) + 2 * MARGIN_PX
-    for key, image in pictures.items():
-        wide = max(image.shape[1], *(int(font.getlength(line)) for line in labels[key]))
-        if x > MARGIN_PX and x + wide + MARGIN_PX > ROW_PX:
-            x, y, row_px = MARGIN_PX, y + row_px + MARGIN_PX, 0
-        place[key] = (x, y)
-        x, row_px = x + wide + MARGIN_PX, max(row_px, image.shape[0] + 2 * LINE_PX + 4)
-        width = max(width, x)
-    return place, (width, y + row_px + MARGIN_PX)
+    return CheckFinding("warning", topic, text)

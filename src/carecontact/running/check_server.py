@@ -1,4 +1,5 @@
-"""What ``carecontact check`` finds out about a policy's server before a long run: its health, latency, answers."""
+"""The deep check of a policy: what its server states, receives and answers, its latency, and the inputs that it
+uses."""
 
 from __future__ import annotations
 
@@ -13,179 +14,26 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.episode.episode import Episode
-from carecontact.errors import ActionError, PolicyError
+from carecontact.errors import ActionError, PolicyError, counted
 from carecontact.interface.action import Action
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard, PolicyRef
 from carecontact.interface.robot import Session
 from carecontact.protocol.protocol import TrialSpec
-from carecontact.running import check_answers, check_inputs
-from carecontact.running.check_answers import save_sheet
+from carecontact.running import check_answers, check_messages
+from carecontact.running.check_answers import CheckFinding, Level
 from carecontact.running.check_inputs import Ablation, Effect, inputs_of
-from carecontact.running.trial import CheckFinding, Level
 from carecontact.serving.conversation import PolicyConversation, PolicySetup, readable
 from carecontact.serving.dialect_media import JOINTS, WIDTH
 from carecontact.serving.opening import HIDDEN
 
-# Sends one request after another to one policy, each as if a trial began with it.
-
-
-class RepeatedRequest:
-    """Makes each request a trial of its own, so that a server that keeps a plan or a chunk answers the present
-    request.
-    """
-
-    def __init__(
-        self,
-        conversation: PolicyConversation,
-        session: Session,
-        *,
-        check: Callable[[Action], object],
-        listen: Callable[[PolicyConversation], None],
-        reopen: Callable[[], PolicyConversation],
-        took_s: list[float],
-    ) -> None:
-        self._conversation, self._session = conversation, session
-        self._check, self._listen, self._reopen, self._took_s = check, listen, reopen, took_s
-        self._own: PolicyConversation | None = None
-        self.last: Sequence[Action] = ()
-        """Actions of the last answer."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._own is not None:
-            self._own.close()
-
-    def ask(self, observation: Observation, *, may_refuse: bool) -> Sequence[Action] | None:
-        """Return the answer; None if the policy refuses, after which it is connected again.
-
-        Raises PolicyError if the policy fails and ``may_refuse`` is false.
-        """
-        try:
-            self._begin(observation.instruction)
-            started = time.monotonic()
-            self.last = self._conversation.act(observation).actions
-            self._took_s.append(time.monotonic() - started)
-            for number, action in enumerate(self.last):
-                try:
-                    self._check(action)
-                except ActionError as error:
-                    self._conversation.refuse(number, error)
-        except PolicyError:
-            if not may_refuse:
-                raise
-            self._connect_again()
-            return None
-        return self.last
-
-    def _begin(self, instruction: str) -> None:
-        """Begin a trial; a policy that accepts only one reset on each connection gets a new connection."""
-        try:
-            self._conversation.reset(instruction, self._session)
-        except PolicyError:
-            self._connect_again()
-            self._conversation.reset(instruction, self._session)
-
-    def _connect_again(self) -> None:
-        if self._own is not None:
-            self._own.close()
-        self._conversation = self._own = self._reopen()
-        self._listen(self._own)
-        self._own.start()
-
-
-# Asks a server whether it is healthy, at the address that its kind offers for this.
+F64 = npt.NDArray[np.float64]
 
 PATHS = {"openpi": ("/healthz",), "roboarena": ("/healthz", "/health"), "vla-eval": ("/health",)}
 """Scheme -> paths at which its servers answer a plain HTTP request. RoboArena's servers copy openpi's; vllm-omni has
 /health."""
 DEADLINE_S = 5.0
 SHOWN_BYTES = 200
-
-
-def health(ref: PolicyRef) -> CheckFinding | None:
-    """Ask a remote policy's server; return None for a kind of server without such an address.
-
-    It is no fault if a server lacks the address. Nor is it if a server does not listen: the connection will show that.
-    """
-    for path in PATHS.get(ref.scheme, ()):
-        try:
-            status, text = _get(ref, path)
-        except (OSError, HTTPException, ValueError):
-            continue
-        if status == 200:
-            return CheckFinding(level="ok", topic="health", text=f"{path} answers {text or 'with no text'}")
-        if status >= 500:
-            return CheckFinding(level="warning", topic="health", text=f"{path} answers HTTP {status} {text}")
-    return None
-
-
-def _get(ref: PolicyRef, path: str) -> tuple[int, str]:
-    # http.client uses no proxy of the environment.
-    connection = HTTPConnection(ref.host, ref.port, timeout=DEADLINE_S)
-    try:
-        connection.request("GET", path)
-        response = connection.getresponse()
-        return response.status, readable(" ".join(response.read(SHOWN_BYTES).decode(errors="replace").split()))
-    finally:
-        connection.close()
-
-
-# How long a policy takes for an answer, and what that means for a trial.
-
-
-def latency_findings(took_s: Sequence[float], *, seconds: float, limit_s: float) -> Iterator[CheckFinding]:
-    """Yield findings about how long answers take.
-
-    Args:
-        took_s: wall time of every call [s].
-        seconds: simulated time for which one answer lasts [s].
-        limit_s: simulated time of a trial [s].
-    """
-    half, most = np.percentile(took_s, [50, 95])
-    calls = int(np.ceil(limit_s / seconds))
-    text = (
-        f"p50 {1000 * half:.0f} ms, p95 {1000 * most:.0f} ms over {len(took_s)} calls; each gives {seconds:.2f} s of "
-        f"motion, so a trial of {limit_s:g} s makes {calls} of them and waits {calls * half:.0f} s"
-    )
-    yield CheckFinding(level="ok", topic="latency", text=text)
-    if most > seconds >= half:
-        yield CheckFinding(
-            level="hint",
-            topic="latency",
-            text="some calls take longer than their motion: a real robot would wait for them",
-        )
-
-
-# Makes one line about the effect of each input.
-
-
-def effect_finding(effect: Effect) -> CheckFinding:
-    """Return a warning if an input without effect is probably a mistake, and a hint if it may be none."""
-    name = effect.input.name
-    if effect.refused:
-        return CheckFinding(level="ok", topic="input", text=f"{name}: used; the policy refuses it blanked")
-    repeats = f"repeats differ by {effect.spread:.2g}" if effect.spread else "repeats are equal"
-    calls = f"{effect.calls} call{'' if effect.calls == 1 else 's'}"
-    seen = f"blanked, the answer moves by {effect.moved:.2g}, {repeats} ({calls})"
-    if effect.verdict == "used":
-        return CheckFinding(level="ok", topic="input", text=f"{name}: used; {seen}")
-    if effect.verdict == "unclear":
-        return CheckFinding(
-            level="hint", topic="input", text=f"{name}: no effect seen in too few calls to tell; {seen}"
-        )
-    if not effect.input.needed:
-        return CheckFinding(level="hint", topic="input", text=f"{name}: no effect; {seen}. Many policies do without it")
-    why = "the server does not read this key, expects it under another name, or ignores it"
-    return CheckFinding(level="warning", topic="input", text=f"{name}: no effect; {seen}: {why}")
-
-
-# The deep check of one policy: what its server states, receives and answers, and which inputs the policy uses.
-
-F64 = npt.NDArray[np.float64]
-
 MEANINGS = {
     "image_resolution": "height and width of every picture [px]",
     "needs_wrist_camera": "whether it wants the wrist camera",
@@ -202,8 +50,131 @@ INSTRUCTIONS = ("prompt", "payload.task_description", "observation.instruction")
 """Keys of the instruction; every message that carries an observation has one of them."""
 
 
+class RepeatedRequest:
+    """Makes each request a trial of its own, so that a server that keeps a plan or a chunk answers the present
+    request."""
+
+    def __init__(
+        self,
+        conversation: PolicyConversation,
+        session: Session,
+        *,
+        check: Callable[[Action], object],
+        listen: Callable[[PolicyConversation], None],
+        reopen: Callable[[], PolicyConversation],
+    ) -> None:
+        self._conversation, self._session = conversation, session
+        self._check, self._listen, self._reopen = check, listen, reopen
+        self._own: PolicyConversation | None = None
+        self.last: Sequence[Action] = ()
+        """Actions of the last answer."""
+        self.took_s: list[float] = []
+        """Wall time of every call [s]."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._own is not None:
+            self._own.close()
+
+    def ask(self, observation: Observation, *, may_refuse: bool) -> Sequence[Action] | None:
+        """Return the answer; None if the policy refuses, after which it is connected again.
+
+        Raises PolicyError if the policy fails and ``may_refuse`` is false.
+        """
+        try:
+            try:
+                self._conversation.reset(observation.instruction, self._session)
+            except PolicyError:
+                # A policy that accepts only one reset on each connection gets a new connection.
+                self._connect_again()
+                self._conversation.reset(observation.instruction, self._session)
+            started = time.monotonic()
+            self.last = self._conversation.act(observation).actions
+            self.took_s.append(time.monotonic() - started)
+            for number, action in enumerate(self.last):
+                try:
+                    self._check(action)
+                except ActionError as error:
+                    self._conversation.refuse(number, error)
+        except PolicyError:
+            if not may_refuse:
+                raise
+            self._connect_again()
+            return None
+        return self.last
+
+    def _connect_again(self) -> None:
+        if self._own is not None:
+            self._own.close()
+        self._conversation = self._own = self._reopen()
+        self._listen(self._own)
+        self._own.start()
+
+
+def health(ref: PolicyRef) -> CheckFinding | None:
+    """Ask a remote policy's server; return None for a kind of server without such an address.
+
+    It is no fault if a server lacks the address. Nor is it if a server does not listen: the connection will show that.
+    """
+    for path in PATHS.get(ref.scheme, ()):
+        # http.client uses no proxy of the environment.
+        connection = HTTPConnection(ref.host, ref.port, timeout=DEADLINE_S)
+        try:
+            connection.request("GET", path)
+            response = connection.getresponse()
+            text = readable(" ".join(response.read(SHOWN_BYTES).decode(errors="replace").split()))
+        except (OSError, HTTPException, ValueError):
+            continue
+        finally:
+            connection.close()
+        if response.status == 200:
+            return CheckFinding("ok", "health", f"{path} answers {text or 'with no text'}")
+        if response.status >= 500:
+            return CheckFinding("warning", "health", f"{path} answers HTTP {response.status} {text}")
+    return None
+
+
+def latency_findings(took_s: Sequence[float], *, seconds: float, limit_s: float) -> Iterator[CheckFinding]:
+    """Yield findings about how long answers take.
+
+    Args:
+        took_s: wall time of every call [s].
+        seconds: simulated time for which one answer lasts [s].
+        limit_s: simulated time of a trial [s].
+    """
+    half, most = np.percentile(took_s, [50, 95])
+    calls = int(np.ceil(limit_s / seconds))
+    text = (
+        f"p50 {1000 * half:.0f} ms, p95 {1000 * most:.0f} ms over {len(took_s)} calls; each gives {seconds:.2f} s of "
+        f"motion, so a trial of {limit_s:g} s makes {calls} of them and waits {calls * half:.0f} s"
+    )
+    yield CheckFinding("ok", "latency", text)
+    if most > seconds >= half:
+        text = "some calls take longer than their motion: a real robot would wait for them"
+        yield CheckFinding("hint", "latency", text)
+
+
+def effect_finding(effect: Effect) -> CheckFinding:
+    """Return a warning if an input without effect is probably a mistake, and a hint if it may be none."""
+    name = effect.input.name
+    if effect.refused:
+        return CheckFinding("ok", "input", f"{name}: used; the policy refuses it blanked")
+    repeats = f"repeats differ by {effect.spread:.2g}" if effect.spread else "repeats are equal"
+    seen = f"blanked, the answer moves by {effect.moved:.2g}, {repeats} ({counted(effect.calls, 'call')})"
+    if effect.verdict == "used":
+        return CheckFinding("ok", "input", f"{name}: used; {seen}")
+    if effect.verdict == "unclear":
+        return CheckFinding("hint", "input", f"{name}: no effect seen in too few calls to tell; {seen}")
+    if not effect.input.needed:
+        return CheckFinding("hint", "input", f"{name}: no effect; {seen}. Many policies do without it")
+    why = "the server does not read this key, expects it under another name, or ignores it"
+    return CheckFinding("warning", "input", f"{name}: no effect; {seen}: {why}")
+
+
 class ServerCheck:
-    """Listens to a conversation and reports what is said; then asks again with each input blanked."""
+    """Listens to a conversation and reports its content; then asks again with each input blanked."""
 
     def __init__(
         self,
@@ -211,7 +182,7 @@ class ServerCheck:
         spec: TrialSpec,
         policy: PolicySetup,
         pictures: Path,
-        say: Callable[[CheckFinding], None],
+        on_finding: Callable[[CheckFinding], None],
         reopen: Callable[[], PolicyConversation],
     ) -> None:
         """
@@ -219,13 +190,12 @@ class ServerCheck:
             pictures: PNG file to write.
             reopen: makes another conversation with the policy, not started, after it refused an observation.
         """
-        self._spec, self._policy, self._pictures, self._tell, self._reopen = spec, policy, pictures, say, reopen
-        self._scheme = policy.ref.scheme
+        self._spec, self._policy, self._pictures, self._reopen = spec, policy, pictures, reopen
+        self._on_finding, self._scheme = on_finding, policy.ref.scheme
         self._card: PolicyCard | None = None
         self._greeting: bytes | str | None = None
         self._sent, self._answer = b"", None
-        self._told: set[str] = set()
-        self._took_s: list[float] = []
+        self._reported: set[str] = set()
 
     def listen(self, conversation: PolicyConversation) -> None:
         """Listen to all messages of a conversation that begins."""
@@ -234,7 +204,7 @@ class ServerCheck:
     def before(self) -> None:
         """Report what can be found out before the connection."""
         if found := health(self._policy.ref):
-            self._say(found)
+            self._report(found)
 
     def greeted(self, card: PolicyCard) -> None:
         self._card = card
@@ -243,59 +213,53 @@ class ServerCheck:
     def refused(self, observation: Observation | None) -> None:
         """Report all that was heard from a policy that has failed, unless it was reported already."""
         self._metadata()
-        if observation is not None and self._has_asked():
+        sent = check_messages.decoded(self._sent, self._scheme)
+        if observation is not None and any(key in INSTRUCTIONS for key in sent):
             self._request()
-            chunk = None if self._answer is None else check_inputs.chunk_of(self._answer, self._scheme)
-            if chunk is not None:
+            if (chunk := self._chunk()) is not None:
                 self._columns(chunk, observation, kind="joints")
 
     def answered(self, actions: Sequence[Action], observation: Observation) -> None:
         """Report what was sent and what came back."""
         self._request()
-        chunk = None if self._answer is None else check_inputs.chunk_of(self._answer, self._scheme)
+        chunk = self._chunk()
         joints = check_answers.joints_of(actions) if chunk is None else chunk[:, :JOINTS]
         card, count = self._known, len(actions) if chunk is None else len(chunk)
         executed = "all of them are" if count == len(actions) else f"the first {len(actions)} are"
         seconds = len(actions) / card.control_hz
-        steps = f"{count} step{'' if count == 1 else 's'}"
-        self._found("ok", "chunk", f"{steps}; {executed} executed, {seconds:.2f} s at {card.control_hz:g} Hz")
+        text = f"{counted(count, 'step')}; {executed} executed, {seconds:.2f} s at {card.control_hz:g} Hz"
+        self._found("ok", "chunk", text)
         if joints is None:
             poses = [a.pose_tcp_in_base for a in actions if a.pose_tcp_in_base is not None]
             if poses:
                 self._columns(np.array(poses, np.float64), observation, kind="poses")
             return
         self._columns(joints if chunk is None else chunk, observation, kind="joints")
-        for found in check_answers.look_at_joints(joints, space=card.action_space, now=observation.joint_position):
-            self._say(found)
+        self._report(*check_answers.look_at_joints(joints, space=card.action_space, now=observation.joint_position))
         if chunk is not None and chunk.shape[1] > JOINTS and self._scheme != "vla-eval":
-            for found in check_answers.look_at_gripper(chunk[:, -1]):
-                self._say(found)
+            self._report(*check_answers.look_at_gripper(chunk[:, -1]))
 
     def ask_again(self, conversation: PolicyConversation, observation: Observation, episode: Episode) -> None:
         """Blank each input in turn. Raises PolicyError if the policy fails at the unchanged observation."""
         session = episode.session
-        asking = RepeatedRequest(
-            conversation, session, check=episode.check, listen=self.listen, reopen=self._reopen, took_s=self._took_s
-        )
-        ask = asking.ask
+        asking = RepeatedRequest(conversation, session, check=episode.check, listen=self.listen, reopen=self._reopen)
 
         def numbers(seen: Observation) -> F64 | None:
-            reply = ask(seen, may_refuse=seen is not observation)
+            reply = asking.ask(seen, may_refuse=seen is not observation)
             if reply is None:
                 return None
-            chunk = None if self._answer is None else check_inputs.chunk_of(self._answer, self._scheme)
+            chunk = self._chunk()
             return check_answers.numbers_of(reply) if chunk is None else chunk
 
         with asking:
             ablation = Ablation(numbers, observation, inputs_of(observation, self._known, session, sent=self._sent))
-            effects = []
+            effects: list[Effect] = []
             for effect in ablation.run(self._plan):
-                self._say(effect_finding(effect))
+                self._report(effect_finding(effect))
                 effects.append(effect)
         self._polarity(ablation.plain, effects)
-        seconds = len(asking.last) / self._known.control_hz
-        for found in latency_findings(self._took_s, seconds=seconds, limit_s=self._spec.protocol.phases.time_limit_s):
-            self._say(found)
+        seconds, limit_s = len(asking.last) / self._known.control_hz, self._spec.protocol.phases.time_limit_s
+        self._report(*latency_findings(asking.took_s, seconds=seconds, limit_s=limit_s))
 
     def _on_sent(self, message: bytes) -> None:
         self._sent, self._answer = message, None
@@ -309,66 +273,61 @@ class ServerCheck:
         assert self._card is not None
         return self._card
 
-    def _say(self, finding: CheckFinding) -> None:
-        """Report a finding without the credentials, which a server may have repeated."""
+    def _chunk(self) -> F64 | None:
+        return check_messages.chunk_of(self._answer, self._scheme)
+
+    def _report(self, *findings: CheckFinding) -> None:
+        """Report findings without the credentials, which a server may have repeated."""
         secret = self._policy.ref.credentials
-        self._tell(replace(finding, text=finding.text.replace(secret, HIDDEN)) if secret else finding)
+        for finding in findings:
+            self._on_finding(replace(finding, text=finding.text.replace(secret, HIDDEN)) if secret else finding)
 
-    def _found(self, level: Level, topic: str, text: str) -> None:
-        self._say(CheckFinding(level=level, topic=topic, text=text))
+    def _found(self, level: Level, topic: str, *lines: str) -> None:
+        self._report(CheckFinding(level, topic, "\n".join(lines)))
 
-    def _once(self, topic: str) -> bool:
-        new = topic not in self._told
-        self._told.add(topic)
+    def _is_new(self, topic: str) -> bool:
+        new = topic not in self._reported
+        self._reported.add(topic)
         return new
-
-    def _has_asked(self) -> bool:
-        return any(key in INSTRUCTIONS for key in check_inputs.decoded(self._sent, self._scheme))
 
     def _metadata(self) -> None:
         """Report a server's metadata; a native server has none besides its card."""
-        if self._scheme not in check_inputs.DIALECTS or self._greeting is None or not self._once("metadata"):
+        if self._scheme not in check_messages.DIALECTS or self._greeting is None or not self._is_new("metadata"):
             return
         found = {
             key.removeprefix("payload."): value
-            for key, value in check_inputs.decoded(self._greeting, self._scheme).items()
+            for key, value in check_messages.decoded(self._greeting, self._scheme).items()
             if key and key not in ENVELOPE
         }
         if not found:
             self._found("ok", "metadata", "the server says nothing of itself; the address decides what it is sent")
             return
-        lines = [
-            f"{line}{f'  ({MEANINGS[key]})' if key in MEANINGS else ''}"
-            for key, line in zip(found, check_inputs.listed(found), strict=True)
-        ]
-        self._found("ok", "metadata", "\n".join(["the server says of itself", *lines]))
+        lines = zip(found, check_messages.listed(found), strict=True)
+        explained = [f"{line}  ({MEANINGS[key]})" if key in MEANINGS else line for key, line in lines]
+        self._found("ok", "metadata", "the server says of itself", *explained)
 
     def _request(self) -> None:
-        if not self._once("sent"):
+        if not self._is_new("sent"):
             return
-        sent = check_inputs.decoded(self._sent, self._scheme)
-        self._found("ok", "sent", "\n".join([f"{len(self._sent) / 1000:.0f} kB with", *check_inputs.listed(sent)]))
-        shown = check_inputs.pictures(sent)
-        if shown:
+        sent = check_messages.decoded(self._sent, self._scheme)
+        self._found("ok", "sent", f"{len(self._sent) / 1000:.0f} kB with", *check_messages.listed(sent))
+        if shown := check_messages.pictures(sent):
             title = f"Sent to {self._policy.ref} in {self._spec.trial_id}, pixel for pixel, without the coloured frames"
-            save_sheet(shown, self._pictures, names=check_inputs.camera_names(self._known), title=title)
+            names = check_messages.camera_names(self._known)
+            check_messages.save_sheet(shown, self._pictures, names=names, title=title)
             self._found("ok", "pictures", f"{self._pictures} shows them as they are sent: look at it")
 
     def _columns(self, values: F64, observation: Observation, *, kind: str) -> None:
         steps, width = values.shape
         more = f"; expected {WIDTH}, seven joints and the gripper" if width > WIDTH else ""
-        shape = f"{steps} step{'' if steps == 1 else 's'} of {width} columns{more}"
         lines = check_answers.table(values, now=observation.joint_position, kind=kind)
-        self._found("ok", "columns", "\n".join([shape, *lines]))
+        self._found("ok", "columns", f"{counted(steps, 'step')} of {width} columns{more}", *lines)
 
     def _plan(self, calls: int, seconds: float) -> None:
-        text = f"answers to one request differ: {calls} more calls, about {seconds:.0f} s"
-        self._found("wait", "inputs", text)
+        self._found("wait", "inputs", f"answers to one request differ: {calls} more calls, about {seconds:.0f} s")
 
     def _polarity(self, plain: Sequence[F64], effects: Sequence[Effect]) -> None:
-        told = [effect for effect in effects if effect.input.is_gripper and effect.answers]
-        if self._scheme not in ("openpi", "roboarena") or not told or plain[0].shape[1] <= JOINTS:
-            return
-        closed, opened = (np.concatenate([chunk[:, -1] for chunk in chunks]) for chunks in (plain, told[0].answers))
-        for found in check_answers.look_at_polarity(closed, opened):
-            self._say(found)
+        opened = next((effect.answers for effect in effects if effect.input.is_gripper and effect.answers), ())
+        if self._scheme in ("openpi", "roboarena") and opened and plain[0].shape[1] > JOINTS:
+            commands = (np.concatenate([chunk[:, -1] for chunk in chunks]) for chunks in (plain, opened))
+            self._report(*check_answers.look_at_polarity(*commands))

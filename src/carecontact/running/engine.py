@@ -7,7 +7,7 @@ import os
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, Self
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
@@ -15,15 +15,17 @@ from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.schema import Recording
 from carecontact.serving.conversation import PolicySetup
 
-# Messages of a trial's process to its supervisor, through a pipe, which works even if the disk is full.
+if TYPE_CHECKING:
+    from carecontact.runs.identity import Identity
 
 POLICY_RUNS, POLICY_GONE, ANSWERED = b"+", b"-", b"="
-"""The process of a local policy is about to start; it is gone; it answered, and DIGEST_BYTES follow."""
+"""Status of a worker: the process of a local policy is about to start; it is gone; it answered, and DIGEST_BYTES
+follow."""
 DIGEST_BYTES = 32
 
 
 class StatusPipe:
-    """The supervisor's end of the pipe."""
+    """The supervisor's end of a worker's status pipe, which works even if the disk is full."""
 
     def __init__(self, pipe: int) -> None:
         """``pipe``: file descriptor to read from, which this object then owns."""
@@ -54,11 +56,8 @@ class StatusPipe:
         os.close(self._pipe)
 
 
-# The request of the supervisor to a trial's process: one JSON document on its standard input.
-
-
 class TrialRequest(BaseModel):
-    """Everything that a trial's process needs to know.
+    """Everything that a worker needs to know, as one JSON document on its standard input.
 
     Nothing of it stands on a command line or in a variable, because a policy can read those of its harness.
     """
@@ -74,8 +73,8 @@ class TrialRequest(BaseModel):
     """Folder with the weights of the protocol's segmenter."""
     pace_s: float | None = None
     """Wall time [s] for each control period, as the policy sees it."""
-    told_fd: int | None = None
-    """File descriptor to which the worker tells when its policy runs and what it answers (``trials.told``)."""
+    status_fd: int | None = None
+    """File descriptor of the worker's end of the status pipe."""
 
     @model_validator(mode="after")
     def _one_policy(self) -> Self:
@@ -101,11 +100,27 @@ def check_setup(spec: TrialSpec, setup: PolicySetup) -> None:
         raise ValueError(f"the trial records the policy {recorded[0]} {recorded[1:]}, but another one is set up")
 
 
-# The interface of an engine. An engine carries out the trials of one run; the supervisor decides which trials, and
-# when.
-
 EngineName = Literal["local", "ray"]
-"""``local``: this machine (``trials.workers``); ``ray``: the nodes of a Ray cluster (``trials.ray_engine``)."""
+"""``local``: this machine (``running.workers``); ``ray``: the nodes of a Ray cluster (``running.ray_engine``)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """The settings that all trials of one run share."""
+
+    out: Path
+    """Folder for the recordings and logs."""
+    work: Path
+    """Folder for files that are not finished."""
+    policy: PolicySetup
+    identity: Identity
+    weights: Path | None = None
+    pace_s: float | None = None
+    trial_limit_s: float
+    command: tuple[str, ...] | None = None
+    """Command that starts a trial's process on any machine; None: each machine's own."""
+    killed: frozenset[str] = frozenset()
+    """Trials in ``out`` that an earlier command lost to a signal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,22 +128,22 @@ class Ended:
     """An attempt at a trial that has ended."""
 
     spec: TrialSpec
-    recording: Recording | None
-    """None: the trial has to run once more, or it did not begin."""
+    kind: Literal["recorded", "lost", "unreached", "unstored", "lacked"]
+    """``recorded``: the recording is in the run's folder; ``lost``: the trial has to run once more; ``unreached``: no
+    trial can begin, because the policy's server could not be reached or a package is missing; ``unstored``: there was
+    no space for what the trial stores; ``lacked``: the trial got no process, thread or memory, and may get it later."""
+    why: str = ""
+    """What happened, of every kind but ``recorded``."""
+    recording: Recording | None = None
     warnings: tuple[str, ...] | None = None
     """Warnings about the policy's first answer; None if it gave no answer."""
-    unreached: str | None = None
-    """Why no trial can begin: the policy's server could not be reached, or a package is missing."""
-    unstored: str | None = None
-    """Where there was no space for what the trial stores, and what to do; None: there was space."""
-    lacked: str | None = None
-    """Why the trial could not begin, if it got no process, thread or memory; it may be able to later."""
-    lost: str | None = None
-    """How the process or the node of the trial died, if the trial has to run once more; else empty."""
 
 
 class Engine(Protocol):
-    """The trials of one run that run now. One thread calls it; no call waits for a trial."""
+    """The trials of one run that run now. One thread calls it; no call waits for a trial.
+
+    The supervisor decides which trials an engine carries out, and when.
+    """
 
     def slots(self) -> int:
         """Return how many trials it can run at once, just now."""

@@ -27,11 +27,11 @@ PROCESS_STATUS = struct.Struct("=q")
 """News of a worker, through a pipe of its own: its process id, then its exit status as
 ``subprocess.Popen.returncode``; or, if it could not be forked, a negative number, the error's."""
 STATUS_FD = 3
-"""The request's ``told_fd`` in a forked worker; the socket has this number in the server."""
+"""The request's ``status_fd`` in a forked worker; the socket has this number in the server."""
 NEEDED = (
-    "carecontact.running.trial", "carecontact.serving.process", "carecontact.scoring.score", "h5py", "numpy.ma",
-    "numpy.random",
-)  # fmt: skip
+    *("carecontact.running.trial", "carecontact.running.check_answers", "carecontact.serving.process"),
+    *("carecontact.scoring.score", "h5py", "numpy.ma", "numpy.random"),
+)
 """Modules that a worker would import."""
 
 
@@ -42,14 +42,13 @@ def main() -> None:
     assert line.fileno() == STATUS_FD
     prepare()
     alive: dict[int, tuple[int, int]] = {}
+    """Descriptor of a worker's process -> its id, and the pipe for its news."""
     while True:
-        ready = readable_descriptors([STATUS_FD, *alive])
-        for descriptor in ready:
+        for descriptor in readable_descriptors([STATUS_FD, *alive]):
             if descriptor in alive:
                 pid, news = alive.pop(descriptor)
                 os.write(news, PROCESS_STATUS.pack(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
-                os.close(news)
-                os.close(descriptor)
+                _close(news, descriptor)
                 continue
             message, given, _, _ = socket.recv_fds(line, 1, 4)
             if not message:
@@ -58,21 +57,23 @@ def main() -> None:
                 pid = os.fork()
             except OSError as error:
                 os.write(given[-1], PROCESS_STATUS.pack(-(error.errno or errno.EAGAIN)))
-                for other in given:
-                    os.close(other)
+                _close(*given)
                 continue
             if pid == 0:
                 line.detach()
-                for mine, news in alive.items():
-                    os.close(mine)
-                    os.close(news[1])
+                for theirs, (_, news) in alive.items():
+                    _close(theirs, news)
                 os._exit(work(given, server=own))
             # The supervisor kills a worker together with what that started.
             os.setpgid(pid, pid)
-            for other in given[:-1]:
-                os.close(other)
+            _close(*given[:-1])
             os.write(given[-1], PROCESS_STATUS.pack(pid))
             alive[os.pidfd_open(pid)] = (pid, given[-1])
+
+
+def _close(*descriptors: int) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
 
 
 def prepare() -> None:
@@ -98,13 +99,12 @@ def prepare() -> None:
 
 
 def work(given: list[int], *, server: int) -> int:
-    """Run a worker with the descriptors of its standard input, its output, what it tells and its news; returns its exit
+    """Run a worker with the descriptors of its standard input, its output, its status and its news; returns its exit
     status. ``server``: the id of the process that forked it."""
-    requests, output, told, news = given
-    for source, target in ((requests, 0), (output, 1), (output, 2), (told, STATUS_FD)):
+    requests, output, status, _ = given
+    for source, target in ((requests, 0), (output, 1), (output, 2), (status, STATUS_FD)):
         os.dup2(source, target, inheritable=target < STATUS_FD)
-    for descriptor in (requests, output, told, news):
-        os.close(descriptor)
+    _close(*given)
     try:
         return worker.main(server)
     except BaseException:

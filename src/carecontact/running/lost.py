@@ -1,4 +1,11 @@
-"""A trial whose worker died: what is known of it, and the recording of its failure."""
+"""A trial whose worker died: what is known of it, and the recording of its failure.
+
+Nothing tells who sent SIGKILL: the kernel without memory, an operator, or the policy itself; nor who started so many
+processes that the trial could start none. Therefore such a trial is repeated; but if the policy may have caused it, the
+repetition counts only if the policy answers as it did before, up to the answer at which the lost attempt ended. The
+simulation then is where it was, so that a policy which kills itself, to avoid a bad end, gets to the same place again
+and has learnt nothing on the way that it did not know.
+"""
 
 from __future__ import annotations
 
@@ -33,26 +40,21 @@ from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.fence import closes_signals
 from carecontact.serving.packing import pack
 
-# Makes the recording of a trial that left nothing but its failure.
-
 EVIDENCE_CHARACTERS = 4000
 """Length of the tail of a traceback or of stderr kept in a recording; the whole is in the trial's log."""
+STORED = "wall/answers"
+"""Array of a lost trial's recording: the digests of the answers that a repetition has to begin with, one after
+another."""
+OTHER_ANSWERS = "other_answers"
+"""Kind of the failure of a trial that was lost, and in which the policy then answered differently."""
 
 
-def harness_error_recording(spec: TrialSpec, *, kind: str, message: str) -> Recording:
-    """Return a zero-length recording with ``ended="harness_error"`` and the evidence in its failure. It counts neither
-    for nor against the policy."""
-    return _without_data(spec, ended="harness_error", kind=kind, message=message)
-
-
-def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
-    """Return a zero-length recording with ``ended="process_failure"``: a trial whose process dies whenever its policy
-    runs."""
-    return _without_data(spec, ended="process_failure", kind=POLICY_KILLED, message=message)
-
-
-def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str) -> Recording:
-    half_yaw = math.radians(spec.protocol.scene.robot_yaw_deg) / 2
+def harness_error_recording(
+    spec: TrialSpec, *, kind: str, message: str, ended: EndReason = "harness_error"
+) -> Recording:
+    """Return a zero-length recording with the evidence in its failure. A harness error counts neither for nor against
+    the policy."""
+    half_yaw, regions = math.radians(spec.protocol.scene.robot_yaw_deg) / 2, list(spec.protocol.regions)
     header = Header(
         spec=spec,
         ended=ended,
@@ -61,7 +63,7 @@ def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str)
         embodiment="none",
         comfort_arm_deg=None,
         segments=list(SEGMENTS),
-        regions=list(spec.protocol.regions),
+        regions=regions,
         human_joints=[],
         pose_base_in_world=[*spec.protocol.scene.robot_base_m, math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)],
         identity=DECLARED,
@@ -69,7 +71,12 @@ def _without_data(spec: TrialSpec, *, ended: EndReason, kind: str, message: str)
         sha256={},
         solver_warnings=[],
     )
-    return Recording(header=header, arrays=empty_arrays(0, regions=len(header.regions)))
+    return Recording(header=header, arrays=empty_arrays(0, regions=len(regions)))
+
+
+def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
+    """Return the recording of a trial whose process dies whenever its policy runs: a failure of the policy."""
+    return harness_error_recording(spec, kind=POLICY_KILLED, message=message, ended="process_failure")
 
 
 def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
@@ -78,22 +85,6 @@ def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
         return text.strip()
     cut = text[-characters:]
     return "[...] " + cut[cut.find("\n") + 1 :].strip()
-
-
-# Trials that lost their process, or their policy's, to a signal or to a machine that had no further process, thread or
-# memory; and what their repetition must not change.
-#
-# Nobody can know who sent SIGKILL: the kernel without memory, an operator, or the policy itself; nor who started so
-# many processes that the trial could start none. Therefore such a trial is repeated; but if the policy may have caused
-# it, the repetition counts only if the policy answers as it did before, up to the answer at which the lost attempt
-# ended. The simulation then is where it was, so that a policy which kills itself, to avoid a bad end, gets to the same
-# place again and has learnt nothing on the way that it did not know.
-
-STORED = "wall/answers"
-"""Array of a lost trial's recording: the digests of the answers that a repetition has to begin with, one after
-another."""
-OTHER_ANSWERS = "other_answers"
-"""Kind of the failure of a trial that was lost, and in which the policy then answered differently."""
 
 
 def digest_of(actions: Sequence[Action]) -> bytes:
@@ -134,22 +125,29 @@ def is_policy_killed(header: Header) -> bool:
 def lack_in(header: Header) -> str:
     """Return why the trial ended if its own process got no further process, thread or memory; else an empty text."""
     failure = header.failure
-    lacks = header.ended == "harness_error" and failure is not None and failure.kind == EXHAUSTED
-    return failure.message.partition("\n")[0] if lacks and failure is not None else ""
+    if header.ended == "harness_error" and failure is not None and failure.kind == EXHAUSTED:
+        return failure.message.partition("\n")[0]
+    return ""
 
 
 class Losses:
-    """What a command does about them: each trial is run once more, and is recorded as lost if that is lost too.
+    """What a command does about lost trials: each is run once more, and is recorded as lost if that is lost too.
 
     Methods return the recording that the trial gets, or the reason to run it once more.
     """
 
     def __init__(self, policy: PolicySetup, *, out: Path, before: Iterable[str]) -> None:
         """``before``: trials in ``out`` that earlier commands lost."""
-        self._lost = lost_before(out, before)
+        self._lost: dict[str, Lost] = {}
         self._again = set[str]()
         self._signals_closed = policy.ref.kind == "remote" or (policy.isolated and closes_signals())
         """Whether the policy has no means to send the trial's process a signal."""
+        for trial_id in before:
+            with suppress(RecordingError):
+                recording = read_recording(out / f"{trial_id}.h5")
+                if STORED in recording.arrays:
+                    kept = recording if is_policy_killed(recording.header) else None
+                    self._lost[trial_id] = Lost(answers=recording[STORED].tobytes(), recording=kept)
 
     def counted(self, recording: Recording, answers: bytes) -> Recording:
         """Handle a trial that came to its end."""
@@ -163,35 +161,25 @@ class Losses:
         why = reason_of(recording.header.failure)
         return self._once_more(recording.header.spec, answers, why, of_policy=recording, otherwise=recording)
 
-    def died_with_policy(
-        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
-    ) -> Recording | str:
-        """Handle a trial whose own process died while its policy ran. Chance, such as a machine out of memory, seldom
-        comes twice at the same place; a policy that kills does, and must not leave its bad trials out of the count.
-
-        ``starved``: whether it ran out of time, processes or memory, to which any policy of this machine can bring it.
-        """
-        why = f"{death} while the policy was running"
-        message = f"{why}, in both attempts{evidence}"
-        bound = b"" if self._signals_closed and not starved else answers
-        return self._once_more(spec, bound, why, otherwise=killed_by_policy_recording(spec, message=message))
-
     def died(
-        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, starved: bool = False
+        self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, with_policy: bool, starved: bool
     ) -> Recording | str:
-        """Handle a trial whose own process died before its policy ran or after its policy had ended."""
+        """Handle a trial whose own process died. Chance, such as a machine out of memory, seldom comes twice at the
+        same place; a policy that kills does, and must not leave its bad trials out of the count.
+
+        ``with_policy``: whether its policy was running. ``starved``: whether it ran out of time, processes or memory,
+        to which any policy of this machine can bring it.
+        """
+        if with_policy:
+            death += " while the policy was running"
+            failed = killed_by_policy_recording(spec, message=f"{death}, in both attempts{evidence}")
+        else:
+            failed = harness_error_recording(spec, kind=KILLED, message=death + evidence)
         bound = b"" if self._signals_closed and not starved else answers
-        lost = harness_error_recording(spec, kind=KILLED, message=death + evidence)
-        return self._once_more(spec, bound, death, otherwise=lost)
+        return self._once_more(spec, bound, death, otherwise=failed)
 
     def _once_more(
-        self,
-        spec: TrialSpec,
-        answers: bytes,
-        why: str,
-        *,
-        otherwise: Recording,
-        of_policy: Recording | None = None,
+        self, spec: TrialSpec, answers: bytes, why: str, *, otherwise: Recording, of_policy: Recording | None = None
     ) -> Recording | str:
         earlier = self._lost.get(spec.trial_id, Lost())
         if not earlier.permits(answers):
@@ -204,15 +192,3 @@ class Losses:
             return why
         recording = left.recording or otherwise
         return replace(recording, arrays={**recording.arrays, STORED: np.frombuffer(left.answers, "u1")})
-
-
-def lost_before(out: Path, trial_ids: Iterable[str]) -> dict[str, Lost]:
-    """Return what earlier commands left in ``out`` of the trials that they lost."""
-    found: dict[str, Lost] = {}
-    for trial_id in trial_ids:
-        with suppress(RecordingError):
-            recording = read_recording(out / f"{trial_id}.h5")
-            if STORED in recording.arrays:
-                kept = recording if is_policy_killed(recording.header) else None
-                found[trial_id] = Lost(answers=recording[STORED].tobytes(), recording=kept)
-    return found

@@ -14,9 +14,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import metadata, resources
+from pathlib import Path
 
 from carecontact.errors import DependencyError, counted
-from carecontact.system import CACHE_VARIABLE, cache_folder
+from carecontact.system import CACHE_VARIABLE, cache_folder, installed_version
 
 PYTHON = ((3, 11), (3, 13))
 """The lowest version that is supported, and the first above it that is not."""
@@ -27,11 +28,7 @@ PACKAGES = {
     "h5py": "h5py",
     "pydantic": "'pydantic>=2.9'",
     "pydantic-monty": "'pydantic-monty>=1.4,<2'",
-    "websockets": "websockets",
-    "msgpack": "msgpack",
-    "matplotlib": "matplotlib",
-    "jinja2": "jinja2",
-    "opencv-python-headless": "opencv-python-headless",
+    **{name: name for name in ("websockets", "msgpack", "matplotlib", "jinja2", "opencv-python-headless")},
     "protobuf": "'protobuf>=4.25,<7'",
     "mediapipe": "--no-deps mediapipe==0.10.21",
 }
@@ -72,15 +69,15 @@ with mediapipe.solutions.pose.Pose(static_image_mode=True, model_complexity=1) a
 TISSUE_PROBE = "from carecontact.tissue.plugin import load_plugins as load; load()"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     name: str
     fine: bool
     detail: str
-    warning: bool = False
-    """Whether trials can run, but lack something that they should have."""
     fix: str | None = None
     """The command that installs what is missing."""
+    warning: bool = False
+    """Whether trials can run, but lack something that they should have."""
 
 
 def findings(*, quick: bool = False) -> Iterator[Finding]:
@@ -91,10 +88,8 @@ def findings(*, quick: bool = False) -> Iterator[Finding]:
     """
     checks = [check_python, check_temporary_folder, partial(check_opengl, frame=not quick)]
     if not quick:
-        checks += [
-            check_packages, check_extras, check_tissue, check_pose, check_assets, check_kept, check_isolation,
-            check_machine,
-        ]  # fmt: skip
+        checks += [check_packages, check_extras, check_tissue, check_pose, check_assets]
+        checks += [check_kept, check_isolation, check_machine]
     return (check() for check in checks)
 
 
@@ -118,39 +113,26 @@ def check_python() -> Finding:
     low, high = PYTHON
     version = ".".join(map(str, sys.version_info[:3]))
     fine = low <= sys.version_info[:2] < high
-    return Finding(name="python", fine=fine, detail=version if fine else f"{version}; needs 3.11 or 3.12")
+    return Finding("python", fine, version if fine else f"{version}; needs 3.11 or 3.12")
 
 
 def check_packages() -> Finding:
-    found: dict[str, str] = {}
-    absent: list[str] = []
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            absent.append(package)
+    found = {package: installed_version(package) for package in PACKAGES}
+    absent = [package for package, version in found.items() if version is None]
     if absent:
-        lines = [f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent]
-        return Finding(name="packages", fine=False, detail=f"not installed: {', '.join(absent)}", fix="; ".join(lines))
-    return Finding(name="packages", fine=True, detail=", ".join(f"{name} {version}" for name, version in found.items()))
+        fix = "; ".join(f"{sys.executable} -m pip install {PACKAGES[package]}" for package in absent)
+        return Finding("packages", False, f"not installed: {', '.join(absent)}", fix)
+    return Finding("packages", True, ", ".join(f"{name} {version}" for name, version in found.items()))
 
 
 def check_extras() -> Finding:
-    """Tell which optional parts can be used. No trial needs any of them."""
-    lacking = [name for name, (packages, _) in EXTRAS.items() if not all(map(_is_installed, packages))]
+    """List the optional parts that cannot be used. No trial needs any of them."""
+    lacking = [name for name, (packages, _) in EXTRAS.items() if None in map(installed_version, packages)]
     if not lacking:
-        return Finding(name="extras", fine=True, detail="all installed")
+        return Finding("extras", True, "all installed")
     parts = ", ".join(f"{name} (for {EXTRAS[name][1]})" for name in lacking)
     command = f"pip install 'carecontact[{lacking[0]}]'"
-    return Finding(name="extras", fine=True, detail=f"optional and not installed: {parts}; {command} adds the first")
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
+    return Finding("extras", True, f"optional and not installed: {parts}; {command} adds the first")
 
 
 def check_tissue() -> Finding:
@@ -159,15 +141,11 @@ def check_tissue() -> Finding:
 
     if problem := binary_lookup.binary_problem():
         what, command = problem
-        return Finding(name="tissue", fine=False, detail=f"the compiled tissue {what}", fix=command)
-    made = (
-        f"compiled for MuJoCo {binary.MUJOCO} and {binary.platform_here()}, sha256 {binary_lookup.binary_sha256()[:12]}"
-    )
+        return Finding("tissue", False, f"the compiled tissue {what}", command)
+    platform, sha256 = binary.platform_here(), binary_lookup.binary_sha256()[:12]
     fault = _probe(TISSUE_PROBE, environment={"MUJOCO_GL": "disable"})
-    return Finding(
-        name="tissue", fine=fault is None, detail=f"{made}; {fault or 'it loads'}",
-        fix=binary_lookup.build_command(afresh=True) if fault else None,
-    )  # fmt: skip
+    detail = f"compiled for MuJoCo {binary.MUJOCO} and {platform}, sha256 {sha256}; {fault or 'it loads'}"
+    return Finding("tissue", fault is None, detail, binary_lookup.build_command(afresh=True) if fault else None)
 
 
 def check_temporary_folder() -> Finding:
@@ -177,10 +155,10 @@ def check_temporary_folder() -> Finding:
     try:
         folder = private_folder()
     except OSError as error:
-        told = f"no folder for a policy's process can be made and locked: {error}; correct this, or name another folder"
-        return Finding(name="temporary", fine=False, detail=f"{told} in the variable TMPDIR")
+        fault = f"no folder for a policy's process can be made and locked: {error}"
+        return Finding("temporary", False, f"{fault}; correct this, or name another folder in the variable TMPDIR")
     folder.remove()
-    return Finding(name="temporary", fine=True, detail=str(folder.path.parent))
+    return Finding("temporary", True, str(folder.path.parent))
 
 
 def check_opengl(*, frame: bool = True) -> Finding:
@@ -193,51 +171,42 @@ def check_opengl(*, frame: bool = True) -> Finding:
 
     problem = _probe(FRAME_PROBE if frame else CONTEXT_PROBE, environment={})
     if problem is not None:
-        told, _, fix = problem.removeprefix("carecontact.errors.DependencyError: ").partition(INSTALLING)
-        return Finding(name="OpenGL", fine=False, detail=told, fix=fix or None)
+        fault, _, fix = problem.removeprefix("carecontact.errors.DependencyError: ").partition(INSTALLING)
+        return Finding("OpenGL", False, fault, fix or None)
     chosen = "by MUJOCO_GL" if os.environ.get("MUJOCO_GL", "").lower() in LIBRARIES else "by what is installed"
     drew = f"; MuJoCo {metadata.version('mujoco')} rendered a frame" if frame else ""
-    return Finding(name="OpenGL", fine=True, detail=f"{choose_backend()}, chosen {chosen}{drew}")
+    return Finding("OpenGL", True, f"{choose_backend()}, chosen {chosen}{drew}")
 
 
 def check_pose() -> Finding:
     problem = _probe(POSE_PROBE, environment={})
     if problem is None:
-        return Finding(name="vision", fine=True, detail="MediaPipe Pose ran")
-    fix = (
-        f"{sys.executable} -m pip install --no-deps mediapipe==0.10.21 && {sys.executable} -m pip install 'protobuf<7'"
-    )
-    return Finding(name="vision", fine=False, detail=f"MediaPipe Pose does not run: {problem}", fix=fix)
+        return Finding("vision", True, "MediaPipe Pose ran")
+    pip = f"{sys.executable} -m pip install"
+    fix = f"{pip} --no-deps mediapipe==0.10.21 && {pip} 'protobuf<7'"
+    return Finding("vision", False, f"MediaPipe Pose does not run: {problem}", fix)
 
 
 def check_assets() -> Finding:
     """Compare every baked file with the hash in its provenance file."""
     checked, wrong = [], []
-    for folder in (resources.files("carecontact") / "assets").iterdir():
-        if not folder.is_dir():
-            continue
-        for note in folder.iterdir():
-            if not note.name.endswith(".provenance.json"):
-                continue
-            stem = note.name.removesuffix(".provenance.json")
-            baked = next((p for p in (folder / f"{stem}.npz", folder / f"{stem}.png") if p.is_file()), None)
-            name = f"{folder.name}/{baked.name if baked else stem}"
-            expected = json.loads(note.read_bytes())["sha256"]
-            if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == expected:
-                checked.append(name)
-            else:
-                wrong.append(f"{name} is missing or does not match the sha256 in its provenance file")
+    for note in sorted(Path(str(resources.files("carecontact"))).glob("assets/*/*.provenance.json")):
+        stem = note.name.removesuffix(".provenance.json")
+        baked = next((p for kind in ("npz", "png") if (p := note.with_name(f"{stem}.{kind}")).is_file()), None)
+        name = f"{note.parent.name}/{baked.name if baked else stem}"
+        if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == json.loads(note.read_bytes())["sha256"]:
+            checked.append(name)
+        else:
+            wrong.append(f"{name} is missing or does not match the sha256 in its provenance file")
     if wrong or not checked:
-        fix = (
-            "git checkout -- src/carecontact/assets (in a clone), or "
-            f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
-        )
-        return Finding(name="assets", fine=False, detail="; ".join(wrong) or "no asset is installed", fix=fix)
-    return Finding(name="assets", fine=True, detail=", ".join(sorted(checked)))
+        pip = f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
+        fix = f"git checkout -- src/carecontact/assets (in a clone), or {pip}"
+        return Finding("assets", False, "; ".join(wrong) or "no asset is installed", fix)
+    return Finding("assets", True, ", ".join(sorted(checked)))
 
 
 def check_kept() -> Finding:
-    """Tell where settled persons are kept between trials; a trial without them takes longer and is the same."""
+    """Show where settled persons are kept between trials; a trial without them takes longer and is the same."""
     folder = cache_folder()
     if folder is None:
         why = "as CARECONTACT_CACHE is empty" if CACHE_VARIABLE in os.environ else "as this user has no home folder"
@@ -245,42 +214,40 @@ def check_kept() -> Finding:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
-                return Finding(name="kept", fine=True, detail=str(folder))
+                return Finding("kept", True, str(folder))
         except OSError as error:
             why = f"as {folder} cannot be written to ({error.strerror})"
-    told = f"nothing is kept between trials, {why}; name a folder in the variable {CACHE_VARIABLE} to make them faster"
-    return Finding(name="kept", fine=True, warning=True, detail=told)
+    remedy = f"name a folder in the variable {CACHE_VARIABLE} to make them faster"
+    return Finding("kept", True, f"nothing is kept between trials, {why}; {remedy}", warning=True)
 
 
 def check_isolation() -> Finding:
     """Say how far a policy can be isolated, and whether it runs as root."""
     from carecontact.serving.fence import available
 
-    level = available()
-    lines = []
-    if not level.startswith("full"):
+    lines = [available()]
+    if not lines[0].startswith("full"):
         lines.append("run policies that you do not trust on another host (docs/threat-model.md)")
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         lines.append("you are root, and so is every policy: run policies that you do not trust as an ordinary user")
-    return Finding(name="isolation", fine=True, warning=bool(lines), detail="; ".join([level, *lines]))
+    return Finding("isolation", True, "; ".join(lines), warning=len(lines) > 1)
 
 
 def check_machine() -> Finding:
-    """Tell how many trials fit on this machine, and what rounds their numbers."""
+    """Say how many trials fit on this machine, and what rounds their numbers."""
     import numpy  # noqa: F401  # Its linear algebra is that of the trials.
 
     from carecontact.recording.provenance import arithmetic
     from carecontact.running.workers import available_cores
 
     cores = available_cores()
-    detail = f"{counted(cores, 'core')}"
+    detail = counted(cores, "core")
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
         detail += f", {memory:.0f} GiB of memory"
         if memory < MEMORY_PER_TRIAL_GIB * cores:
             detail += f"; use --jobs {max(1, int(memory / MEMORY_PER_TRIAL_GIB))}"
-    detail += f"; numbers are rounded by {arithmetic()}"
-    return Finding(name="machine", fine=True, detail=detail)
+    return Finding("machine", True, f"{detail}; numbers are rounded by {arithmetic()}")
 
 
 def _probe(code: str, *, environment: dict[str, str]) -> str | None:

@@ -1,4 +1,9 @@
-"""Runs trials on a Ray cluster: the engine on the driver, and the task of a node."""
+"""Runs trials on a Ray cluster: the engine on the driver, and the task of a node.
+
+A task is one trial, which the node's own worker runs. Its files come back as bytes through Ray's object store, so that
+the nodes need no common storage. Ray decides where each trial runs. If a node dies, its trials run elsewhere: Ray
+reports each of them, and the supervisor begins it again.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,14 @@ import errno
 import os
 import pickle
 import platform
-import shutil
 import socket
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from carecontact import __version__
 from carecontact.errors import CarecontactError, ConfigError, DependencyError, RecordingError
@@ -24,33 +27,27 @@ from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import open_recording, write_recording
 from carecontact.recording.file import is_full
 from carecontact.recording.schema import KILLED
-from carecontact.running.engine import Ended
-from carecontact.running.lost import Losses, harness_error_recording
+from carecontact.running.engine import Ended, RunSettings
+from carecontact.running.lost import harness_error_recording
 from carecontact.running.machine import check_ready
-from carecontact.running.workers import ROOM_BYTES, WORKER_COMMAND, Launcher, Workers
-from carecontact.runs.identity import Identity, identity_of
+from carecontact.running.workers import WORKER_COMMAND, Launcher, Workers, has_room
+from carecontact.runs.identity import identity_of
 from carecontact.runs.manifest import MANIFEST
-from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.sandbox import private_folder
 
-# One trial on a node of a cluster: the node's own worker runs it, and its files go back as bytes.
-
 POLL_S = 0.05
+ATTEMPTS = 3
+"""Most attempts of one command at a trial whose node or process Ray lost."""
+ANSWER_S = 10.0
+"""Longest wait for a connection to the cluster's address [s]; Ray itself would try for minutes."""
+NEEDS = "--engine ray needs the package ray: pip install 'carecontact[cluster]', here and on every node"
 
 
 @dataclass(frozen=True, kw_only=True)
 class NodeTask:
     spec: TrialSpec
-    policy: PolicySetup
-    shipped: bool
-    """Whether the policy's modules lie in the folder that the task runs in."""
-    identity: Identity
-    """Identity of the run, as the command that planned the trial determined it."""
-    weights: Path | None
-    pace_s: float | None
-    trial_limit_s: float
-    command: Sequence[str] | None
-    """Command that starts the trial's process; None: this node's own."""
+    run: RunSettings
+    """Settings of the run on the driver. The folder that the task runs in holds the modules of an imported policy."""
     earlier: bytes | None
     """File of an attempt at the trial that an earlier command lost."""
 
@@ -58,14 +55,12 @@ class NodeTask:
 @dataclass(frozen=True, kw_only=True)
 class NodeDone:
     node: str
-    recording: bytes | None = None
+    kind: Literal["recorded", "lost", "unreached", "refused"] = "recorded"
+    """As of ``Ended``; ``refused``: no trial of this run may run on this node."""
+    why: str = ""
+    recording: bytes = b""
     log: bytes | None = None
     warnings: tuple[str, ...] | None = None
-    unreached: str | None = None
-    lost: str | None = None
-    """Why the trial has to run once more, elsewhere if possible."""
-    refused: str | None = None
-    """Why no trial of this run may run on this node."""
 
 
 def carry_out(release: str, packed: bytes) -> NodeDone:
@@ -77,69 +72,66 @@ def carry_out(release: str, packed: bytes) -> NodeDone:
     """
     node = platform.node()
     if release != __version__:
-        return NodeDone(node=node, refused=f"it has carecontact {__version__}, and the command has {release}")
+        why = f"it has carecontact {__version__}, and the command has {release}"
+        return NodeDone(node=node, kind="refused", why=why)
     task: NodeTask = pickle.loads(packed)
-    if task.shipped:
-        task = replace(task, policy=replace(task.policy, search_path=(os.getcwd(),)))
+    if task.run.policy.ref.kind == "importable":
+        here = replace(task.run.policy, search_path=(os.getcwd(),))
+        task = replace(task, run=replace(task.run, policy=here))
     try:
         if found := differences(task):
-            return NodeDone(node=node, refused=found)
+            return NodeDone(node=node, kind="refused", why=found)
         return _carried_out(task, node)
     except OSError as error:
         if not is_full(error):
             raise
-        return NodeDone(node=node, lost=f"node {node}: {os.strerror(errno.ENOSPC)}")
+        return NodeDone(node=node, kind="lost", why=os.strerror(errno.ENOSPC))
 
 
 def differences(task: NodeTask) -> str:
     """List what differs between this node and the planning command and influences the results, or why this node cannot
     run trials; empty if nothing does."""
+    policy, planned = task.run.policy, task.run.identity
     try:
         check_ready()
-        here = identity_of(task.spec, search_path=task.policy.search_path, language=task.policy.language)
+        here = identity_of(task.spec, search_path=policy.search_path, language=policy.language)
     except CarecontactError as error:
         return str(error)
-    told = here.differences(versions=task.identity.versions, sha256=task.identity.sha256, world=task.identity.world)
-    if here.policy_sha256 != task.identity.policy_sha256:
-        told.append(f"the file of {task.spec.policy} {'differs' if here.policy_sha256 else 'is not there'}")
-    for name, wanted in task.identity.argument_files.items():
+    found = here.differences(versions=planned.versions, sha256=planned.sha256, world=planned.world)
+    if here.policy_sha256 != planned.policy_sha256:
+        found.append(f"the file of {task.spec.policy} {'differs' if here.policy_sha256 else 'is not there'}")
+    for name, wanted in planned.argument_files.items():
         if here.argument_files.get(name) != wanted:
             state = "differs" if name in here.argument_files else "is not there"
-            told.append(f"{task.spec.policy_arguments[name]} (policy argument {name}) {state}")
-    if here.language != task.identity.language:
-        told.append(f"the language backend was {task.identity.language}, is {here.language}")
-    return "; ".join(told)
+            found.append(f"{task.spec.policy_arguments[name]} (policy argument {name}) {state}")
+    if here.language != planned.language:
+        found.append(f"the language backend was {planned.language}, is {here.language}")
+    return "; ".join(found)
 
 
 def _carried_out(task: NodeTask, node: str) -> NodeDone:
-    folder = private_folder()
+    folder, trial_id = private_folder(), task.spec.trial_id
     try:
         out, work = folder.path / "out", folder.path / "work"
         out.mkdir()
         work.mkdir()
-        trial_id, before = task.spec.trial_id, set[str]()
+        recorded, log = out / f"{trial_id}.h5", out / f"{trial_id}.log"
         if task.earlier is not None:
-            (out / f"{trial_id}.h5").write_bytes(task.earlier)
-            before.add(trial_id)
-        setup = replace(task.policy, closed=(*task.policy.closed, str(folder.path)))
-        workers = Workers(
-            out=out, work=work, policy=setup, weights=task.weights, pace_s=task.pace_s,
-            launcher=_launcher(tuple(task.command or WORKER_COMMAND)), trial_limit_s=task.trial_limit_s,
-            losses=Losses(setup, out=out, before=before),
-        )  # fmt: skip
+            recorded.write_bytes(task.earlier)
+        policy = replace(task.run.policy, closed=(*task.run.policy.closed, str(folder.path)))
+        killed = frozenset[str]() if task.earlier is None else frozenset({trial_id})
+        settings = replace(task.run, out=out, work=work, policy=policy, killed=killed)
+        workers = Workers(settings, _launcher(task.run.command or WORKER_COMMAND))
         try:
             ended = _ended(workers, task.spec)
         finally:
             workers.kill_all()
-        log = out / f"{trial_id}.log"
-        return NodeDone(
-            node=node,
-            recording=(out / f"{trial_id}.h5").read_bytes() if ended.recording is not None else None,
-            log=log.read_bytes() if log.exists() else None,
-            warnings=ended.warnings,
-            unreached=ended.unreached,
-            lost=next((f"node {node}: {why}" for why in (ended.unstored, ended.lacked) if why is not None), None),
-        )
+        if ended.kind == "unreached":
+            return NodeDone(node=node, kind="unreached", why=ended.why)
+        if ended.recording is None:
+            return NodeDone(node=node, kind="lost", why=ended.why)
+        written = log.read_bytes() if log.exists() else None
+        return NodeDone(node=node, recording=recorded.read_bytes(), log=written, warnings=ended.warnings)
     finally:
         folder.remove()
 
@@ -156,22 +148,10 @@ def _ended(workers: Workers, spec: TrialSpec) -> Ended:
     workers.start(spec)
     while True:
         for ended in workers.finished():
-            if ended.lost is None:
+            if ended.kind != "lost":
                 return ended
             workers.start(spec)
         time.sleep(POLL_S)
-
-
-# The engine ``ray``: the trials of a run on the nodes of a Ray cluster, which also decides where each of them runs.
-#
-# A task is one trial. Its recording comes back through Ray's object store, so that the nodes need no common storage. If
-# a node dies, its trials run elsewhere: Ray reports each of them, and the supervisor begins it anew.
-
-ATTEMPTS = 3
-"""Most attempts of one command at a trial whose node or process Ray lost."""
-ANSWER_S = 10.0
-"""Longest wait for a connection to the cluster's address [s]; Ray itself would try for minutes."""
-NEEDS = "--engine ray needs the package ray: pip install 'carecontact[cluster]', here and on every node"
 
 
 def connect(*policies: PolicyRef) -> None:
@@ -227,7 +207,7 @@ def _reach(address: str) -> None:
 
 
 def asks_for_a_token() -> bool:
-    """Whether the cluster, as far as this process is told, takes orders from those alone who know its token."""
+    """Whether the cluster, as far as this process knows, takes orders from those alone who know its token."""
     return os.environ.get("RAY_AUTH_MODE") == "token"
 
 
@@ -237,25 +217,17 @@ def _excluded(folder: Path) -> list[str]:
     return [".?*", "__pycache__", *(f"/{run.relative_to(folder).as_posix()}/" for run in runs)]
 
 
-@dataclass(kw_only=True)
 class RayTrials:
     """The engine ``ray``. Call ``connect`` before you make one."""
 
-    out: Path
-    work: Path
-    task: Mapping[str, Any]
-    """Fields of ``NodeTask`` that all trials share."""
-    killed: frozenset[str]
-    """Trials that an earlier command lost to a signal."""
-    gpus: float = 0.0
-    """Share of a GPU that Ray reserves for each trial."""
-    _running: dict[Any, TrialSpec] = field(default_factory=dict[Any, TrialSpec])
-    _lost: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
-
-    def __post_init__(self) -> None:
+    def __init__(self, run: RunSettings, *, gpus: float = 0.0) -> None:
+        """``gpus``: share of a GPU that Ray reserves for each trial."""
+        self._run, self._gpus = run, gpus
+        self._running: dict[Any, TrialSpec] = {}
+        self._lost: dict[str, list[str]] = {}
         self._ray: Any = import_module("ray")
         # A task that Ray would repeat by itself repeats unseen: the supervisor does it, and says so.
-        self._remote: Any = self._ray.remote(num_cpus=1, num_gpus=self.gpus, max_retries=0)(carry_out)
+        self._remote: Any = self._ray.remote(num_cpus=1, num_gpus=gpus, max_retries=0)(carry_out)
 
     def slots(self) -> int:
         """Return one trial for each core of the nodes that are there now."""
@@ -265,12 +237,12 @@ class RayTrials:
         return len(self._running)
 
     def has_room(self) -> bool:
-        return shutil.disk_usage(self.work).free >= ROOM_BYTES * (len(self._running) + 1)
+        return has_room(self._run.work, len(self._running))
 
     def start(self, spec: TrialSpec) -> None:
-        lost_before = self.out / f"{spec.trial_id}.h5" if spec.trial_id in self.killed else None
-        earlier = lost_before.read_bytes() if lost_before is not None and lost_before.is_file() else None
-        task = NodeTask(spec=spec, earlier=earlier, **self.task)
+        lost = self._run.out / f"{spec.trial_id}.h5"
+        earlier = lost.read_bytes() if spec.trial_id in self._run.killed and lost.is_file() else None
+        task = NodeTask(spec=spec, run=self._run, earlier=earlier)
         self._running[self._remote.remote(__version__, pickle.dumps(task))] = spec
 
     def finished(self) -> list[Ended]:
@@ -284,8 +256,8 @@ class RayTrials:
         there = self._ray.cluster_resources()
         if there.get("CPU", 0) < 1:
             lacks = "core"
-        elif there.get("GPU", 0) < self.gpus:
-            lacks = f"node with the GPUs that --gpus {self.gpus:g} reserves"
+        elif there.get("GPU", 0) < self._gpus:
+            lacks = f"node with the GPUs that --gpus {self._gpus:g} reserves"
         else:
             return {}
         return {spec.trial_id: f"waits: the cluster has no {lacks}" for spec in self._running.values()}
@@ -296,47 +268,46 @@ class RayTrials:
         self._running.clear()
 
     def _ended(self, spec: TrialSpec, ref: Any) -> Ended:
-        errors = self._ray.exceptions
         try:
             done: NodeDone = self._ray.get(ref)
-        except errors.RayTaskError as error:
+        except self._ray.exceptions.RayTaskError as error:
             last = str(error).strip().splitlines()[-1]
             raise ConfigError(
                 f"--engine ray: a node cannot run trials: {last}; it needs the same carecontact and ray as this "
                 "machine (docs/cluster.md)"
             ) from None
-        except errors.RayError as error:
+        except self._ray.exceptions.RayError as error:
             return self._once_more(spec, f"Ray lost it: {str(error).strip().splitlines()[0]}")
-        if done.refused is not None:
-            raise ConfigError(f"--engine ray: node {done.node} cannot run trials of this run: {done.refused}")
-        if done.unreached is not None:
-            return Ended(spec=spec, recording=None, unreached=f"{done.unreached} (from node {done.node})")
-        if done.lost is not None or done.recording is None:
-            return self._once_more(spec, done.lost or f"node {done.node} sent no recording")
-        return self._stored(spec, done, done.recording)
+        if done.kind == "refused":
+            raise ConfigError(f"--engine ray: node {done.node} cannot run trials of this run: {done.why}")
+        if done.kind == "unreached":
+            return Ended(spec=spec, kind="unreached", why=f"{done.why} (from node {done.node})")
+        if done.kind == "lost":
+            return self._once_more(spec, f"node {done.node}: {done.why}")
+        return self._stored(spec, done)
 
-    def _stored(self, spec: TrialSpec, done: NodeDone, content: bytes) -> Ended:
-        partial = Path(tempfile.mkdtemp(dir=self.work)) / "trial.h5"
-        partial.write_bytes(content)
+    def _stored(self, spec: TrialSpec, done: NodeDone) -> Ended:
+        partial = Path(tempfile.mkdtemp(dir=self._run.work)) / "trial.h5"
+        partial.write_bytes(done.recording)
         try:
             recording = open_recording(partial)
         except RecordingError as error:
             return self._once_more(spec, f"what node {done.node} sent cannot be read: {error}")
-        os.replace(partial, self.out / f"{spec.trial_id}.h5")
-        log = self.out / f"{spec.trial_id}.log"
+        os.replace(partial, self._run.out / f"{spec.trial_id}.h5")
+        log = self._run.out / f"{spec.trial_id}.log"
         if done.log is None:
             log.unlink(missing_ok=True)
         else:
             log.write_bytes(done.log)
-        return Ended(spec=spec, recording=recording, warnings=done.warnings)
+        return Ended(spec=spec, kind="recorded", recording=recording, warnings=done.warnings)
 
     def _once_more(self, spec: TrialSpec, why: str) -> Ended:
         """Another attempt, or after ATTEMPTS of them a recording that says so; the same command then tries again."""
-        told = self._lost.setdefault(spec.trial_id, [])
-        told.append(why)
-        if len(told) < ATTEMPTS:
-            return Ended(spec=spec, recording=None, lost=why)
-        message = f"the trial was lost {ATTEMPTS} times\n" + "\n".join(told)
+        reasons = self._lost.setdefault(spec.trial_id, [])
+        reasons.append(why)
+        if len(reasons) < ATTEMPTS:
+            return Ended(spec=spec, kind="lost", why=why)
+        message = f"the trial was lost {ATTEMPTS} times\n" + "\n".join(reasons)
         recording = harness_error_recording(spec, kind=KILLED, message=message)
-        write_recording(recording, self.out / f"{spec.trial_id}.h5")
-        return Ended(spec=spec, recording=recording)
+        write_recording(recording, self._run.out / f"{spec.trial_id}.h5")
+        return Ended(spec=spec, kind="recorded", recording=recording)

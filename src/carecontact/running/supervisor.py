@@ -1,12 +1,11 @@
-"""Runs the missing trials of a folder on an engine, as many at a time as the machine bears, and starts anew what
-died."""
+"""Runs the missing trials of a folder on an engine, as many at a time as the machine bears, and repeats what died."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
@@ -18,28 +17,30 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.file import TEMPORARY, no_space
 from carecontact.recording.reason import reason_of
-from carecontact.recording.schema import EndReason
-from carecontact.running.engine import Engine, EngineName, check_setup, setup_of
-from carecontact.running.lost import Losses
+from carecontact.recording.schema import EndReason, Recording
+from carecontact.running.engine import Engine, EngineName, RunSettings, check_setup, setup_of
 from carecontact.running.machine import check_ready
 from carecontact.running.pace import check_pace, late_in
 from carecontact.running.workers import ROOM_BYTES, WORKER_COMMAND, Launcher, Workers
-from carecontact.runs.identity import Identity, identity_of
+from carecontact.runs.identity import identity_of
 from carecontact.runs.lock import LOCK, folder_lock
 from carecontact.runs.manifest import MANIFEST, Purpose, Survey, runs_beside, salted, survey, write_manifest
 from carecontact.serving.conversation import WAIT_REPORT_S, PolicySetup
 from carecontact.serving.sandbox import remove_abandoned_folders
 from carecontact.system import REMEDY, is_exhausted
 
-# The hidden folder in a run's folder where its trials are written until they are finished.
-
 WORK_PREFIX = ".running-"
-
-
-@contextmanager
-def work_folder(out: Path) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix=WORK_PREFIX, dir=out) as folder:
-        yield Path(folder)
+"""Begins the name of the hidden folder in a run's folder where its trials are written until they are finished."""
+EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
+POLL_S = 0.05
+START_PAUSE_S = 1.0
+"""Time [s] after which a trial that could not begin is tried again."""
+LACKING_ALONE_S, LACKING_S = 30.0, 600.0
+"""How long [s] trials may fail to begin, without one that ends, before the run stops: while none runs, and while some
+do, whose policies may be the cause."""
+DEFAULT_TRIAL_LIMIT_S = 14400.0
+"""Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
+(``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
 
 
 def remove_abandoned(out: Path) -> None:
@@ -48,27 +49,6 @@ def remove_abandoned(out: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
     for file in out.glob(f".*{TEMPORARY}"):
         file.unlink(missing_ok=True)
-
-
-# Makes the engine of a given name for the trials of a run.
-
-
-@dataclass(frozen=True, kw_only=True)
-class Conditions:
-    """The settings that all trials of one run share."""
-
-    out: Path
-    work: Path
-    """Folder for files that are not finished."""
-    policy: PolicySetup
-    identity: Identity
-    weights: Path | None
-    pace_s: float | None
-    trial_limit_s: float
-    launcher: Launcher
-    """Starts the trials' processes on this machine; on others, its command does."""
-    killed: frozenset[str]
-    """Trials that an earlier command lost to a signal."""
 
 
 def check_engine(name: EngineName, *policies: PolicySetup, gpus: float) -> str:
@@ -90,42 +70,19 @@ def check_engine(name: EngineName, *policies: PolicySetup, gpus: float) -> str:
     if all(policy.ref.kind == "remote" for policy in policies) or asks_for_a_token():
         return ""
     return (
-        "this Ray cluster takes orders from whoever reaches its ports, and a policy does; set RAY_AUTH_MODE=token "
-        "(docs/cluster.md)"
+        "this Ray cluster takes orders from any process that reaches its ports, and a policy does; set "
+        "RAY_AUTH_MODE=token (docs/cluster.md)"
     )
 
 
-def engine_of(name: EngineName, run: Conditions, *, gpus: float) -> Engine:
+def engine_of(name: EngineName, run: RunSettings, launcher: Launcher, *, gpus: float) -> Engine:
     """``gpus``: share of a GPU that a cluster reserves for each trial. Raises as ``check_engine``."""
     check_engine(name, run.policy, gpus=gpus)
     if name == "local":
-        return Workers(
-            out=run.out, work=run.work, policy=run.policy, weights=run.weights, pace_s=run.pace_s,
-            launcher=run.launcher, trial_limit_s=run.trial_limit_s,
-            losses=Losses(run.policy, out=run.out, before=run.killed),
-        )  # fmt: skip
+        return Workers(run, launcher)
     from carecontact.running.ray_engine import RayTrials
 
-    shared = {
-        "policy": run.policy, "shipped": run.policy.ref.kind == "importable", "identity": run.identity,
-        "weights": run.weights, "pace_s": run.pace_s, "trial_limit_s": run.trial_limit_s,
-        "command": None if run.launcher.command == WORKER_COMMAND else run.launcher.command,
-    }  # fmt: skip
-    return RayTrials(out=run.out, work=run.work, task=shared, killed=run.killed, gpus=gpus)
-
-
-# Runs the trials of a run: it decides which trial begins when and reports their progress; an engine carries them out.
-
-EventKind = Literal["kept", "redo", "started", "waiting", "finished", "warned"]
-POLL_S = 0.05
-START_PAUSE_S = 1.0
-"""Time [s] after which a trial that could not begin is tried again."""
-LACKING_ALONE_S, LACKING_S = 30.0, 600.0
-"""How long [s] trials may fail to begin, without one that ends, before the run stops: while none runs, and while some
-do, whose policies may be the cause."""
-DEFAULT_TRIAL_LIMIT_S = 14400.0
-"""Limit of a trial's wall time [s]. Only a harness that hangs reaches it: a policy has an hour for all its calls
-(``BUDGET_S``), which leaves 7 s for each of the 1,500 observations that it can request."""
+    return RayTrials(run, gpus=gpus)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,15 +116,16 @@ class RunSummary:
 
     def followed_by(self, later: RunSummary) -> RunSummary:
         """Return the summary of a command that then ran some of these trials again."""
-        again = later.planned
-        ended: dict[str, EndReason] = {trial: how for trial, how in self.ended.items() if trial not in again}
+        ended: dict[str, EndReason] = {trial: how for trial, how in self.ended.items() if trial not in later.planned}
+        late = {trial: number for trial, number in self.late.items() if trial not in later.planned}
+        ran, kept = (tuple(t for t in trials if t not in later.planned) for trials in (self.ran, self.kept))
         return RunSummary(
             planned=self.planned,
             ended=ended | later.ended,
-            ran=(*(trial for trial in self.ran if trial not in again), *later.ran),
-            kept=(*(trial for trial in self.kept if trial not in again), *later.kept),
+            ran=ran + later.ran,
+            kept=kept + later.kept,
             unreached=later.unreached,
-            late={trial: late for trial, late in self.late.items() if trial not in again} | later.late,
+            late=late | later.late,
             most_at_once=max(self.most_at_once, later.most_at_once),
             wall_s=self.wall_s + later.wall_s,
         )
@@ -176,10 +134,10 @@ class RunSummary:
 def run_trials(specs: Sequence[TrialSpec], *, out: Path, jobs: int | None = None, **options: Any) -> RunSummary:
     """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
 
-    A trial of which a signal killed a process is run once more (``trials.lost``). A worker that dies without a
-    recording gets one that says how it died. If a policy's server stays out of reach, no
-    further trial begins; those that run end, and those that did not begin have no recording. On KeyboardInterrupt the
-    workers are killed and finished trials stay.
+    A trial of which a signal killed a process is run once more (``running.lost``). A worker that dies without a
+    recording gets one that says how it died. If a policy's server stays out of reach, no further trial begins; those
+    that run end, and those that did not begin have no recording. On KeyboardInterrupt the workers are killed and
+    finished trials stay.
 
     Args:
         jobs: default: as many as the engine can run.
@@ -246,29 +204,39 @@ def open_run(
         if engine == "local" and len(specs) > len(found.keep):
             launcher.begin()
             check_ready()
-        _prepare(out, specs, identity=identity, purpose=purpose, whole=whole)
-        setup = replace(setup, closed=(*setup.closed, *runs_beside(out)))
+        try:
+            remove_abandoned(out)
+            write_manifest(specs, out=out, identity=identity, purpose=purpose, whole=whole)
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot be written to: {error.strerror}") from None
         remove_abandoned_folders()
-        with work_folder(out) as work:
-            conditions = Conditions(
-                out=out, work=work, policy=setup, identity=identity, weights=weights, pace_s=pace_s,
-                launcher=launcher, trial_limit_s=trial_limit_s, killed=found.killed,
-            )  # fmt: skip
-            carrying_out = engine_of(engine, conditions, gpus=gpus)
-            try:
-                yield Run(specs, found, carrying_out, out, on_event)
-            except FileNotFoundError:
-                if work.is_dir():
-                    raise
-                raise StorageError(
-                    f"{out}: somebody removed or moved this folder while its trials ran; give the same command again"
-                ) from None
-            finally:
-                carrying_out.kill_all()
+        work = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix=WORK_PREFIX, dir=out)))
+        settings = RunSettings(
+            out=out,
+            work=work,
+            policy=replace(setup, closed=(*setup.closed, *runs_beside(out))),
+            identity=identity,
+            weights=weights,
+            pace_s=pace_s,
+            trial_limit_s=trial_limit_s,
+            command=None if launcher.command == WORKER_COMMAND else launcher.command,
+            killed=found.killed,
+        )
+        running = engine_of(engine, settings, launcher, gpus=gpus)
+        try:
+            yield Run(specs, found, running, out, on_event)
+        except FileNotFoundError:
+            if work.is_dir():
+                raise
+            raise StorageError(
+                f"{out}: somebody removed or moved this folder while its trials ran; give the same command again"
+            ) from None
+        finally:
+            running.kill_all()
 
 
 class Run:
-    """The trials of one run: their order and the reports of their progress."""
+    """The trials of one run: which begins when, and the reports of their progress; an engine carries them out."""
 
     def __init__(
         self,
@@ -284,11 +252,9 @@ class Run:
         self._stopped: StorageError | ExhaustedError | None = None
         self._found, self._total, self._out = found, len(specs), out
         self._engine, self._on_event = engine, on_event
-        self._began = time.monotonic()
+        self._began = self._next_start = time.monotonic()
         self._next_look = self._began + WAIT_REPORT_S
-        self._answered = False
-        self._most = 0
-        self._next_start = self._began
+        self._answered, self._most = False, 0
         self._lacking_since: float | None = None
         for trial_id, how in found.keep.items():
             self._report("kept", trial_id, ended=how)
@@ -318,9 +284,14 @@ class Run:
         ExhaustedError where no process can be started; recordings that are there stay.
         """
         self._take_finished()
-        while self._may_start() and self.running < (self.slots() if jobs is None else jobs):
+        while (
+            self._waiting
+            and time.monotonic() >= self._next_start
+            and self.running < (self.slots() if jobs is None else jobs)
+        ):
             if not self._engine.has_room():
-                self._stop_full(str(no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")))
+                free = no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")
+                self._stop(StorageError(str(free)))
                 break
             spec = self._waiting.pop(0)
             # First, because the fork server takes a second to start.
@@ -330,8 +301,7 @@ class Run:
             except OSError as error:
                 if not is_exhausted(error):
                     raise
-                self._again(spec)
-                self._start_later(f"no process for it: {error.strerror or error}")
+                self._start_later(spec, f"no process for it: {error.strerror or error}")
                 break
             self._most = max(self._most, self.running)
         self._report_silence()
@@ -354,27 +324,25 @@ class Run:
             wall_s=time.monotonic() - self._began,
         )
 
-    def _may_start(self) -> bool:
-        return bool(self._waiting) and time.monotonic() >= self._next_start
-
-    def _start_later(self, why: str) -> None:
-        """Wait with the next trial: those that run may use what it needs. Where that lasts, begin none any more."""
-        now = time.monotonic()
-        self._lacking_since = now if self._lacking_since is None else self._lacking_since
-        if now - self._lacking_since > (LACKING_S if self.running else LACKING_ALONE_S):
-            self._stopped = ExhaustedError(f"a trial could not begin: {why}; {REMEDY}")
-            self._waiting.clear()
-        elif self._waiting:
-            self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {why}")
-        self._next_start = now + START_PAUSE_S
-
     def _again(self, spec: TrialSpec) -> None:
         if self._stopped is None:
             self._waiting.insert(0, spec)
 
-    def _stop_full(self, why: str) -> None:
-        """Begin no further trial, because its recording could not be stored; trials that run already may end."""
-        self._stopped = StorageError(why)
+    def _start_later(self, spec: TrialSpec, why: str) -> None:
+        """Wait with a trial and the next ones: those that run may use what it needs. Where that lasts, begin none any
+        more."""
+        self._again(spec)
+        now = time.monotonic()
+        self._lacking_since = now if self._lacking_since is None else self._lacking_since
+        if now - self._lacking_since > (LACKING_S if self.running else LACKING_ALONE_S):
+            self._stop(ExhaustedError(f"a trial could not begin: {why}; {REMEDY}"))
+        elif self._waiting:
+            self._report("waiting", self._waiting[0].trial_id, message=f"cannot begin yet: {why}")
+        self._next_start = now + START_PAUSE_S
+
+    def _stop(self, why: StorageError | ExhaustedError) -> None:
+        """Begin no further trial; trials that run already may end."""
+        self._stopped = why
         self._waiting.clear()
 
     def _report_silence(self) -> None:
@@ -388,50 +356,35 @@ class Run:
 
     def _take_finished(self) -> None:
         for done in self._engine.finished():
-            spec, recording = done.spec, done.recording
-            if done.unreached is not None:
-                self.unreached = done.unreached
+            if done.kind in ("lost", "recorded"):
+                self._lacking_since = None
+            if done.kind == "unreached":
+                self.unreached = done.why
                 self._waiting.clear()
-                continue
-            if done.unstored is not None:
-                self._stop_full(done.unstored)
-                continue
-            if done.lacked is not None:
-                self._again(spec)
-                self._start_later(done.lacked)
-                continue
-            self._lacking_since = None
-            if recording is None:
-                self._again(spec)
-                self._report("redo", spec.trial_id, message=done.lost)
-                continue
-            header = recording.header
-            self.ended[spec.trial_id] = header.ended
-            if late := late_in(recording):
-                self.late[spec.trial_id] = late
-            why = reason_of(header.failure) if header.failure else None
-            self._report("finished", spec.trial_id, ended=header.ended, message=why)
-            if done.warnings is not None and not self._answered:
-                self._answered = True
-                for text in done.warnings:
-                    self._report("warned", spec.trial_id, message=text)
+            elif done.kind == "unstored":
+                self._stop(StorageError(done.why))
+            elif done.kind == "lacked":
+                self._start_later(done.spec, done.why)
+            elif done.recording is None:
+                self._again(done.spec)
+                self._report("redo", done.spec.trial_id, message=done.why)
+            else:
+                self._take(done.spec.trial_id, done.recording, done.warnings)
 
-    def _report(
-        self, kind: EventKind, trial_id: str, *, ended: EndReason | None = None, message: str | None = None
-    ) -> None:
-        self._on_event(
-            TrialEvent(
-                kind=kind, trial_id=trial_id, ended=ended, message=message, done=len(self.ended), total=self._total
-            )
-        )
+    def _take(self, trial_id: str, recording: Recording, warnings: Sequence[str] | None) -> None:
+        header = recording.header
+        self.ended[trial_id] = header.ended
+        if late := late_in(recording):
+            self.late[trial_id] = late
+        why = reason_of(header.failure) if header.failure else None
+        self._report("finished", trial_id, ended=header.ended, message=why)
+        if warnings is not None and not self._answered:
+            self._answered = True
+            for text in warnings:
+                self._report("warned", trial_id, message=text)
 
-
-def _prepare(out: Path, specs: Sequence[TrialSpec], **more: Any) -> None:
-    try:
-        remove_abandoned(out)
-        write_manifest(specs, out=out, **more)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written to: {error.strerror}") from None
+    def _report(self, kind: EventKind, trial_id: str, **more: Any) -> None:
+        self._on_event(TrialEvent(kind=kind, trial_id=trial_id, done=len(self.ended), total=self._total, **more))
 
 
 def check_jobs(jobs: int | None) -> None:
@@ -440,13 +393,11 @@ def check_jobs(jobs: int | None) -> None:
         raise ConfigError(f"jobs {jobs}: must be at least 1")
 
 
-# Move an earlier run aside, so that its folder can begin anew.
-
-
 def move_aside(out: Path) -> Path | None:
-    """Rename the folder of a run to ``NAME.before-1``, or the next number that is free; nothing is deleted.
+    """Rename the folder of a run to ``NAME.before-1``, or the next number that is free, so that its folder can begin
+    again; nothing is deleted.
 
-    Call it inside ``alone``, whose lock does not move: lock the folder again.
+    Call it inside ``folder_lock``, whose lock does not move: lock the folder again.
 
     Returns the new place, or None where there is nothing to move. Raises ConfigError for a folder that is not a run,
     that this command stands in or that cannot be moved.

@@ -34,6 +34,10 @@ class SweptPolicy:
         """What ``jobs`` limits: the address of a server, or a policy of the plan."""
         return self.setup.ref.text if self.setup.ref.kind == "remote" else id(self)
 
+    def room(self, busy: Counter[str | int]) -> float:
+        """Return how many more trials of the policy may run. ``busy``: place -> trials that run there."""
+        return inf if self.jobs is None else self.jobs - busy[self.place]
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Open:
@@ -70,13 +74,9 @@ def run_cells(
 
     def enter(cell: Cell) -> _Open:
         kept, policy = ExitStack(), policies[cell.policy]
-        run = kept.enter_context(
-            supervisor.open_run(
-                cell.specs, out=folder(cell), policy=policy.setup, card=policy.card,
-                on_event=lambda event: on_event(cell, event), launcher=launcher, **options,
-            )
-        )  # fmt: skip
-        return _Open(cell=cell, policy=policy, run=run, kept=kept)
+        given = {"policy": policy.setup, "card": policy.card, "launcher": launcher, **options}
+        run = supervisor.open_run(cell.specs, out=folder(cell), on_event=lambda event: on_event(cell, event), **given)
+        return _Open(cell=cell, policy=policy, run=kept.enter_context(run), kept=kept)
 
     try:
         while waiting or opened:
@@ -103,7 +103,7 @@ def run_cells(
 def _advance(opened: Sequence[_Open], jobs: int | None) -> None:
     """Give every open cell, in the order of the plan, as many trials as the slots and its policy allow."""
     for each in opened:
-        free = min(_free(opened, jobs), _room(each.policy, _busy(opened)))
+        free = min(_free(opened, jobs), each.policy.room(_busy(opened)))
         each.run.advance(each.run.running + int(max(0, free)))
 
 
@@ -114,14 +114,14 @@ def _following(
     free."""
     if not opened:
         return next(iter(waiting), None)
-    busy, taken = _busy(opened), 0.0
+    busy, taken = _busy(opened), 0
     for each in opened:
-        will = max(0.0, min(each.run.waiting, _room(each.policy, busy)))
-        busy[each.policy.place] += int(will)
-        taken += will
+        begins = int(max(0.0, min(each.run.waiting, each.policy.room(busy))))
+        busy[each.policy.place] += begins
+        taken += begins
     if _free(opened, jobs) <= taken or len(opened) >= MOST_OPEN:
         return None
-    return next((cell for cell in waiting if _room(policies[cell.policy], busy) > 0), None)
+    return next((cell for cell in waiting if policies[cell.policy].room(busy) > 0), None)
 
 
 def _free(opened: Sequence[_Open], jobs: int | None) -> int:
@@ -129,13 +129,7 @@ def _free(opened: Sequence[_Open], jobs: int | None) -> int:
 
 
 def _busy(opened: Sequence[_Open]) -> Counter[str | int]:
-    """``SweptPolicy.place`` -> trials that run there."""
     busy = Counter[str | int]()
     for each in opened:
         busy[each.policy.place] += each.run.running
     return busy
-
-
-def _room(policy: SweptPolicy, busy: Counter[str | int]) -> float:
-    """Return how many more trials of the policy may run."""
-    return inf if policy.jobs is None else policy.jobs - busy[policy.place]

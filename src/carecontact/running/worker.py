@@ -1,10 +1,10 @@
 """One trial in its own process: ``python -m carecontact.running.worker [PARENT]`` with a ``TrialRequest`` on standard
 input. It ends with the process PARENT, which started it.
 
-The worker tells its supervisor when a local policy runs and what it answered (``trials.told``). Exit status 0 means
-that the recording was written, whatever happened to the trial, or that UNREACHED says why the trial did not begin;
-LACKING, that this machine lacks a package, which UNREACHED names; UNSTORED, that there was no space for the recording.
-A crash of the interpreter itself writes nothing; then the supervisor writes a recording.
+The worker reports to its supervisor when a local policy runs and what it answered (``running.engine``). Exit status 0
+means that the recording was written, whatever happened to the trial, or that UNREACHED says why the trial did not
+begin; LACKING, that this machine lacks a package, which UNREACHED names; UNSTORED, that there was no space for the
+recording. A crash of the interpreter itself writes nothing; then the supervisor writes a recording.
 """
 
 from __future__ import annotations
@@ -22,22 +22,7 @@ from carecontact.system import die_with_parent
 if TYPE_CHECKING:
     from carecontact.running.trial import Look
 
-SINGLE_THREAD = {
-    name: "1"
-    for name in (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "NUMEXPR_NUM_THREADS",
-        "BLIS_NUM_THREADS",
-    )
-}
-"""A sum split over threads depends on how many there are; and the supervisor already uses every core."""
-
-WITHOUT_WINDOWS = {"MUJOCO_GL": "disable"}
-"""Keeps MuJoCo from importing glfw, which it needs for windows alone: 0.1 s and a process of its
-own. ``sim.rendering`` chooses the backend for pictures itself. A user's own MUJOCO_GL stays."""
-
+THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "BLIS")
 WAITING = "waiting.txt"
 """File beside the recording in which the worker says that it waits for its policy."""
 FIRST_ANSWER = "first_answer.json"
@@ -55,11 +40,20 @@ LACKING = 69
 """Exit status: EX_UNAVAILABLE of sysexits.h. A status, because a policy of this machine could write the file."""
 
 
+def worker_environment() -> dict[str, str]:
+    """Return the variables of this process with those that a trial needs.
+
+    A sum split over threads depends on how many there are, and the supervisor already uses every core. MUJOCO_GL keeps
+    MuJoCo from importing glfw, which it needs for windows alone: 0.1 s and a process of its own; ``sim.rendering``
+    chooses the backend for pictures itself. A user's own MUJOCO_GL stays.
+    """
+    return {"MUJOCO_GL": "disable", **os.environ, **{f"{library}_NUM_THREADS": "1" for library in THREADS}}
+
+
 def main(parent: int) -> int:
     # Before the imports below, which take half a second.
     die_with_parent(parent)
-    os.environ.update(SINGLE_THREAD)
-    os.environ.update({name: value for name, value in WITHOUT_WINDOWS.items() if name not in os.environ})
+    os.environ.update(worker_environment())
     claim_children()
     from carecontact.recording.file import is_full
 
@@ -83,32 +77,35 @@ def _run() -> int:
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
 
-    def tell(said: bytes) -> None:
-        if request.told_fd is not None:
-            os.write(request.told_fd, said)
+    def report(status: bytes) -> None:
+        if request.status_fd is not None:
+            os.write(request.status_fd, status)
 
-    def wait(line: str) -> None:
+    def note(name: str, text: str) -> None:
+        # A policy may fill the disk; what it fills is free again when the recording is written.
         with suppress(OSError):
-            request.out.with_name(WAITING).write_text(line)
+            request.out.with_name(name).write_text(text)
 
     def look(look: Look) -> None:
-        from carecontact.running.trial import look_at
+        from carecontact.running.check_answers import look_at
 
-        tell(ANSWERED + digest_of(look.actions))
-        note = request.out.with_name(FIRST_ANSWER)
-        if not note.exists():
+        report(ANSWERED + digest_of(look.actions))
+        if not request.out.with_name(FIRST_ANSWER).exists():
             found = look_at(look.actions, look.observation)
-            # A policy may fill the disk; what it fills is free again when the recording is written.
-            with suppress(OSError):
-                note.write_text(json.dumps([f"{finding.topic}: {finding.text}" for finding in found]))
+            note(FIRST_ANSWER, json.dumps([f"{finding.topic}: {finding.text}" for finding in found]))
 
     try:
         from carecontact.running.trial import run_trial
 
         recording = run_trial(
-            request.spec, policy=request.policy, weights=request.weights, pace_s=request.pace_s,
-            on_look=look, on_policy=lambda runs: tell(POLICY_RUNS if runs else POLICY_GONE), on_wait=wait,
-        )  # fmt: skip
+            request.spec,
+            policy=request.policy,
+            weights=request.weights,
+            pace_s=request.pace_s,
+            on_look=look,
+            on_policy=lambda runs: report(POLICY_RUNS if runs else POLICY_GONE),
+            on_wait=lambda line: note(WAITING, line),
+        )
         try:
             write_recording(recording, request.out)
         except Exception as error:
@@ -123,15 +120,14 @@ def _run() -> int:
         if is_full(error):
             # Of the recording itself, the supervisor knows a better name of the place.
             if isinstance(error, StorageError) and str(request.out.parent) not in str(error):
-                with suppress(OSError):
-                    request.out.with_name(NO_SPACE).write_text(str(error))
+                note(NO_SPACE, str(error))
             raise
         trace = traceback.format_exc()
         sys.stderr.write(trace)
         reason = str(error) if isinstance(error, CarecontactError) else f"{type(error).__name__}: {error}"
-        message = f"{reason}\n\n{tail(trace)}"
         kind = EXHAUSTED if is_exhausted(error) else type(error).__name__
-        write_recording(harness_error_recording(request.spec, kind=kind, message=message), request.out)
+        failed = harness_error_recording(request.spec, kind=kind, message=f"{reason}\n\n{tail(trace)}")
+        write_recording(failed, request.out)
     return 0
 
 

@@ -14,33 +14,30 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol
 
 from carecontact.errors import RecordingError
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import open_recording, read_header, write_recording
 from carecontact.recording.file import no_space
 from carecontact.recording.schema import FAILED, KILLED, Recording
-from carecontact.running.engine import Ended, StatusPipe, TrialRequest
+from carecontact.running.engine import Ended, RunSettings, StatusPipe, TrialRequest
 from carecontact.running.fork_server import PROCESS_STATUS, STATUS_FD
 from carecontact.running.lost import Losses, harness_error_recording, is_policy_killed, lack_in, tail
 from carecontact.running.worker import (
     FIRST_ANSWER,
     LACKING,
     NO_SPACE,
-    SINGLE_THREAD,
     UNREACHED,
     UNSTORED,
     WAITING,
-    WITHOUT_WINDOWS,
+    worker_environment,
 )
 from carecontact.runs.manifest import runs_beside
-from carecontact.serving.conversation import WAIT_REPORT_S, PolicySetup, readable
+from carecontact.serving.conversation import WAIT_REPORT_S, readable
 from carecontact.serving.process_tree import readable_descriptors
-
-# Starts workers: each is forked from a process that has imported everything, or started as a program of its own.
 
 # -P: the folder a user happens to stand in must not shadow a module of the trial's process.
 PYTHON = (sys.executable, "-P", "-X", "faulthandler", "-m")
@@ -48,6 +45,9 @@ WORKER_COMMAND = (*PYTHON, "carecontact.running.worker")
 SERVER_COMMAND = (*PYTHON, "carecontact.running.fork_server")
 PATIENCE_S = 60.0
 """Longest wait for a message of the fork server, which takes a second to start [s]."""
+ROOM_BYTES = 48 << 20
+"""Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
+(MAX_NOTES_BYTES of ``episode.log``)."""
 
 
 class Process(Protocol):
@@ -65,7 +65,8 @@ class ServerLostError(Exception):
 
 
 class Launcher:
-    """Starts workers, each in a process group of its own."""
+    """Starts workers, each in a process group of its own: forked from a process that has imported everything, or as a
+    program."""
 
     def __init__(self, command: Sequence[str] = WORKER_COMMAND, *, forks: bool = True) -> None:
         """
@@ -76,8 +77,7 @@ class Launcher:
         """
         self.command = tuple(command)
         self._forks = forks and self.command == WORKER_COMMAND and hasattr(os, "pidfd_open")
-        self._server: subprocess.Popen[bytes] | None = None
-        self._line: socket.socket | None = None
+        self._server: tuple[subprocess.Popen[bytes], socket.socket] | None = None
 
     def begin(self) -> None:
         """Start the fork server, if there is to be one, so that it imports while the caller does something else."""
@@ -86,48 +86,49 @@ class Launcher:
                 self._serving()
 
     def start(self, request: TrialRequest, *, log: Path) -> Process:
-        """``request`` with a ``told_fd``; ``log``: file for what the worker prints. Raises OSError where no process can
-        be started."""
-        if self._forks:
-            try:
-                return self._forked(request, log)
-            except ServerLostError:
-                # Not again in this run: whatever ails it, a program of its own says so, or is free of it.
-                self._forks = False
-                self.close()
-        return self._program(request, log)
-
-    def close(self) -> None:
-        """End the fork server; the kernel ends what it forked."""
-        if self._server is not None and self._line is not None:
-            self._line.close()
-            self._server.kill()
-            self._server.wait()
-        self._server = self._line = None
-
-    def _program(self, request: TrialRequest, log: Path) -> subprocess.Popen[bytes]:
-        assert request.told_fd is not None
+        """``request`` with a ``status_fd``; ``log``: file for what the worker prints. Raises OSError where no process
+        can be started."""
+        assert request.status_fd is not None
         with log.open("wb") as output:
+            if self._forks:
+                try:
+                    return self._forked(request, request.status_fd, output.fileno())
+                except ServerLostError:
+                    # Not again in this run: a program of its own has not what ails the server, or says so.
+                    self._forks = False
+                    self.close()
             process = subprocess.Popen(
-                (*self.command, str(os.getpid())), stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT,
-                env=_environment(), pass_fds=(request.told_fd,), start_new_session=True,
-            )  # fmt: skip
+                (*self.command, str(os.getpid())),
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=_environment(),
+                pass_fds=(request.status_fd,),
+                start_new_session=True,
+            )
         assert process.stdin is not None
         # A worker that is dead already is found so when it is polled.
         with suppress(BrokenPipeError), process.stdin as stdin:
             stdin.write(request.model_dump_json().encode())
         return process
 
-    def _forked(self, request: TrialRequest, log: Path) -> ForkedProcess:
+    def close(self) -> None:
+        """End the fork server; the kernel ends what it forked."""
+        if self._server is not None:
+            server, line = self._server
+            line.close()
+            server.kill()
+            server.wait()
+        self._server = None
+
+    def _forked(self, request: TrialRequest, status_fd: int, output_fd: int) -> ForkedProcess:
         """Raises ServerLostError and OSError."""
-        assert request.told_fd is not None
         server, line = self._serving()
         theirs, requests = os.pipe()
         news, reports = os.pipe()
         with open(requests, "wb", 0) as stdin:
             try:
-                with log.open("wb") as output:
-                    socket.send_fds(line, [b"w"], [theirs, output.fileno(), request.told_fd, reports])
+                socket.send_fds(line, [b"w"], [theirs, output_fd, status_fd, reports])
             except OSError:
                 os.close(news)
                 raise ServerLostError from None
@@ -135,20 +136,25 @@ class Launcher:
                 os.close(theirs)
                 os.close(reports)
             process = ForkedProcess(server, news)
-            own = request.model_copy(update={"told_fd": STATUS_FD})
+            own = request.model_copy(update={"status_fd": STATUS_FD})
             with suppress(BrokenPipeError):
                 stdin.write(own.model_dump_json().encode())
         return process
 
     def _serving(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
-        if self._server is None or self._line is None:
-            self._line, far = socket.socketpair()
+        if self._server is None:
+            line, far = socket.socketpair()
             with far:
-                self._server = subprocess.Popen(
-                    (*SERVER_COMMAND, str(os.getpid())), stdin=far.fileno(), stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL, env=_environment(), start_new_session=True,
-                )  # fmt: skip
-        return self._server, self._line
+                server = subprocess.Popen(
+                    (*SERVER_COMMAND, str(os.getpid())),
+                    stdin=far.fileno(),
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    env=_environment(),
+                    start_new_session=True,
+                )
+            self._server = server, line
+        return self._server
 
 
 class ForkedProcess:
@@ -187,50 +193,100 @@ class ForkedProcess:
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether somebody sent the process SIGSTOP, where the system says so: nothing in the harness does."""
+    """Whether the process received SIGSTOP, where the system says so: nothing in the harness sends it."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] == "T"
     return False
 
 
+def kill_tree(process: Process) -> None:
+    """Kill the worker with its process group. Its policy, which has a session of its own, ends with it."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use, which inside a container are fewer than the machine's."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def has_room(work: Path, running: int) -> bool:
+    """Whether one more recording can be stored beside those of the trials that run."""
+    return shutil.disk_usage(work).free >= ROOM_BYTES * (running + 1)
+
+
 def _environment() -> dict[str, str]:
-    return {**WITHOUT_WINDOWS, **os.environ, **SINGLE_THREAD, "PYTHONHASHSEED": "0"}
-
-
-# Starts the processes of trials, watches them, reaps them, and collects their recordings.
-
-ROOM_BYTES = 48 << 20
-"""Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
-(MAX_NOTES_BYTES of ``episode.log``)."""
+    return {**worker_environment(), "PYTHONHASHSEED": "0"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Worker:
+class Worker:
+    """The process of a trial that runs, and its files."""
+
     spec: TrialSpec
     process: Process
     partial: Path
     output: Path
-    told: StatusPipe
+    status: StatusPipe
     started: float
 
+    def note(self, name: str) -> str | None:
+        """Return the text of a file beside the recording; None if there is none."""
+        with suppress(OSError):
+            return self.partial.with_name(name).read_text(errors="replace")
+        return None
 
-@dataclass(kw_only=True)
+    def lack(self) -> str:
+        """Return why the trial could not begin to ask its policy, if it lacked a process, a thread or memory."""
+        with suppress(RecordingError):
+            if not self.status.policy_runs and not self.status.answers:
+                return lack_in(read_header(self.partial))
+        return ""
+
+    def recording(self) -> tuple[Recording | None, str]:
+        """Return the trial's recording, or None and what is wrong with it."""
+        try:
+            # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
+            recording = open_recording(self.partial)
+        except RecordingError as error:
+            return None, str(error)
+        if recording.header.spec == self.spec.sealed:
+            return recording, ""
+        return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
+
+    def warnings(self) -> tuple[str, ...] | None:
+        """Return the warnings about the first answer. A policy of this machine could write any text there."""
+        with suppress(ValueError):
+            found = json.loads(self.note(FIRST_ANSWER) or "null")
+            if isinstance(found, list):
+                return tuple(readable(str(text)) for text in found)
+        return None
+
+    def death(self, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:
+        """Return the kind and the description of the process's end, in case that it left no recording."""
+        code = self.process.wait()
+        if stopped:
+            return KILLED, "the trial's process was stopped by a signal"
+        if timed_out:
+            return "timeout", f"the trial's process ran longer than {limit_s:g} s and was killed"
+        if code < 0:
+            return KILLED, f"the trial's process died of signal {-code} ({signal.strsignal(-code)})"
+        if code > 0:
+            return "exit", f"the trial's process ended with status {code} and wrote no recording"
+        return "no_recording", "the trial's process ended with status 0 but its recording cannot be read"
+
+
 class Workers:
     """The engine ``local``: the trials of one run, each in a process of this machine."""
 
-    out: Path
-    """Folder for the recordings and logs."""
-    work: Path
-    """Folder for files that are not finished."""
-    policy: PolicySetup
-    weights: Path | None
-    pace_s: float | None
-    launcher: Launcher
-    """The launcher; its maker closes it, because it may also start the workers of other runs."""
-    trial_limit_s: float
-    losses: Losses
-    """Trials that this command or an earlier one lost to a signal."""
-    running: list[_Worker] = field(default_factory=list[_Worker])
+    def __init__(self, run: RunSettings, launcher: Launcher) -> None:
+        """``launcher``: its maker closes it, because it may also start the workers of other runs."""
+        self._run, self._launcher = run, launcher
+        self._losses = Losses(run.policy, out=run.out, before=run.killed)
+        self.running: list[Worker] = []
 
     def slots(self) -> int:
         return available_cores()
@@ -239,70 +295,39 @@ class Workers:
         return len(self.running)
 
     def has_room(self) -> bool:
-        return shutil.disk_usage(self.work).free >= ROOM_BYTES * (len(self.running) + 1)
+        return has_room(self._run.work, len(self.running))
 
     def start(self, spec: TrialSpec) -> None:
         # Neither a name nor a command line may show the policy, which can read both, what it is tried on.
-        folder = Path(tempfile.mkdtemp(dir=self.work))
+        folder = Path(tempfile.mkdtemp(dir=self._run.work))
         partial, output = folder / "trial.h5", folder / "output.txt"
-        pipe, told_fd = os.pipe()
+        pipe, status_fd = os.pipe()
         # Again for each trial: another command may have begun a run beside this one.
-        closed = tuple(dict.fromkeys((*self.policy.closed, *runs_beside(self.out))))
+        closed = tuple(dict.fromkeys((*self._run.policy.closed, *runs_beside(self._run.out))))
         request = TrialRequest(
-            spec=spec, policy=replace(self.policy, closed=closed), out=partial.resolve(), weights=self.weights,
-            told_fd=told_fd, pace_s=self.pace_s,
-        )  # fmt: skip
+            spec=spec,
+            policy=replace(self._run.policy, closed=closed),
+            out=partial.resolve(),
+            weights=self._run.weights,
+            pace_s=self._run.pace_s,
+            status_fd=status_fd,
+        )
         try:
-            process = self.launcher.start(request, log=output)
+            process = self._launcher.start(request, log=output)
         except OSError:
             os.close(pipe)
             shutil.rmtree(folder, ignore_errors=True)
             raise
         finally:
-            os.close(told_fd)
+            os.close(status_fd)
+        status, now = StatusPipe(pipe), time.monotonic()
         self.running.append(
-            _Worker(
-                spec=spec,
-                process=process,
-                partial=partial,
-                output=output,
-                told=StatusPipe(pipe),
-                started=time.monotonic(),
-            )
+            Worker(spec=spec, process=process, partial=partial, output=output, status=status, started=now)
         )
 
     def finished(self) -> list[Ended]:
         """Reap the workers that have ended, were stopped or ran out of time."""
-        done: list[Ended] = []
-        for worker in list(self.running):
-            worker.told.read()
-            stopped = is_stopped(worker.process.pid)
-            timed_out = time.monotonic() - worker.started > self.trial_limit_s
-            if worker.process.poll() is None and not timed_out and not stopped:
-                continue
-            self.running.remove(worker)
-            kill_tree(worker.process)
-            worker.told.read()
-            worker.told.close()
-            if (unreached := self._unreached(worker)) is not None:
-                done.append(Ended(spec=worker.spec, recording=None, unreached=unreached))
-                continue
-            returncode = worker.process.wait()
-            if returncode == UNSTORED:
-                done.append(Ended(spec=worker.spec, recording=None, unstored=self._unstored(worker)))
-                continue
-            if (lacked := _lacked(worker)) is not None:
-                done.append(Ended(spec=worker.spec, recording=None, lacked=lacked))
-                continue
-            kind, death = _death(returncode, timed_out=timed_out, stopped=stopped, limit_s=self.trial_limit_s)
-            recording = self._collected(worker, kind, death)
-            if isinstance(recording, str):
-                done.append(Ended(spec=worker.spec, recording=None, lost=recording))
-                continue
-            os.replace(worker.partial, self.out / f"{worker.spec.trial_id}.h5")
-            self._keep_log(worker, recording)
-            done.append(Ended(spec=worker.spec, recording=recording, warnings=_warnings(worker)))
-        return done
+        return [ended for worker in list(self.running) if (ended := self._reaped(worker)) is not None]
 
     def waiting(self) -> dict[str, str]:
         lines: dict[str, str] = {}
@@ -316,47 +341,65 @@ class Workers:
     def kill_all(self) -> None:
         for worker in self.running:
             kill_tree(worker.process)
-            worker.told.close()
+            worker.status.close()
         self.running.clear()
 
-    def _unreached(self, worker: _Worker) -> str | None:
-        # A policy of this machine could write the file to leave out a trial, but cannot choose a worker's exit status.
-        believed = self.policy.ref.kind == "remote" or worker.process.wait() == LACKING
-        note = worker.partial.with_name(UNREACHED)
-        return note.read_text(errors="replace") if believed and note.is_file() else None
+    def _reaped(self, worker: Worker) -> Ended | None:
+        """Return how a worker ended; None while it runs."""
+        spec, status, limit_s = worker.spec, worker.status, self._run.trial_limit_s
+        status.read()
+        stopped = is_stopped(worker.process.pid)
+        timed_out = time.monotonic() - worker.started > limit_s
+        if worker.process.poll() is None and not timed_out and not stopped:
+            return None
+        self.running.remove(worker)
+        kill_tree(worker.process)
+        status.read()
+        status.close()
+        code = worker.process.wait()
+        # A policy of this machine could write the note to leave out a trial, but cannot choose a worker's exit status.
+        believed = self._run.policy.ref.kind == "remote" or code == LACKING
+        if believed and (unreached := worker.note(UNREACHED)) is not None:
+            return Ended(spec=spec, kind="unreached", why=unreached)
+        if code == UNSTORED:
+            place = worker.note(NO_SPACE)
+            why = str(no_space(self._run.out, os.strerror(errno.ENOSPC))) if place is None else readable(place)
+            return Ended(spec=spec, kind="unstored", why=why)
+        if lack := worker.lack():
+            return Ended(spec=spec, kind="lacked", why=lack)
+        kind, death = worker.death(timed_out=timed_out, stopped=stopped, limit_s=limit_s)
+        recording = self._collected(worker, kind, death)
+        if isinstance(recording, str):
+            return Ended(spec=spec, kind="lost", why=recording)
+        os.replace(worker.partial, self._run.out / f"{spec.trial_id}.h5")
+        self._keep_log(worker, recording)
+        return Ended(spec=spec, kind="recorded", recording=recording, warnings=worker.warnings())
 
-    def _unstored(self, worker: _Worker) -> str:
-        with suppress(OSError):
-            return readable(worker.partial.with_name(NO_SPACE).read_text(errors="replace"))
-        return str(no_space(self.out, os.strerror(errno.ENOSPC)))
-
-    def _collected(self, worker: _Worker, kind: str, death: str) -> Recording | str:
-        """Return the recording, then in ``worker.partial`` whoever wrote it, or why the trial has to run once more."""
-        found, problem = _read(worker)
-        answers = worker.told.answers
+    def _collected(self, worker: Worker, kind: str, death: str) -> Recording | str:
+        """Return the recording, which is then in ``worker.partial``, or why the trial has to run once more."""
+        found, problem = worker.recording()
+        spec, status, losses = worker.spec, worker.status, self._losses
+        evidence = f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
         if kind == "no_recording":
             death += f": {problem}"
-        if found is not None and (lack := lack_in(found.header)):
-            lost = self.losses.died_with_policy if worker.told.policy_runs else self.losses.died
-            outcome = lost(worker.spec, answers, lack, _evidence(worker), starved=True)
-        elif found is not None and not is_policy_killed(found.header):
-            outcome = self.losses.counted(found, answers)
-        elif found is not None:
-            outcome = self.losses.policy_killed(found, answers)
-        elif worker.told.policy_runs:
-            starved = kind == "timeout"
-            outcome = self.losses.died_with_policy(worker.spec, answers, death, _evidence(worker), starved=starved)
-        elif kind == KILLED:
-            outcome = self.losses.died(worker.spec, answers, death, _evidence(worker))
+        lack = "" if found is None else lack_in(found.header)
+        if found is not None and not lack:
+            handle = losses.policy_killed if is_policy_killed(found.header) else losses.counted
+            outcome = handle(found, status.answers)
+        elif lack or status.policy_runs or kind == KILLED:
+            starved = bool(lack) or kind == "timeout"
+            outcome = losses.died(
+                spec, status.answers, lack or death, evidence, with_policy=status.policy_runs, starved=starved
+            )
         else:
-            outcome = harness_error_recording(worker.spec, kind=kind, message=death + _evidence(worker))
+            outcome = harness_error_recording(spec, kind=kind, message=death + evidence)
         if isinstance(outcome, Recording) and outcome is not found:
             write_recording(outcome, worker.partial)
         return outcome
 
-    def _keep_log(self, worker: _Worker, recording: Recording) -> None:
+    def _keep_log(self, worker: Worker, recording: Recording) -> None:
         trial_id, failure = worker.spec.trial_id, recording.header.failure
-        log = self.out / f"{trial_id}.log"
+        log = self._run.out / f"{trial_id}.log"
         if recording.header.ended not in FAILED or failure is None:
             log.unlink(missing_ok=True)
             return
@@ -365,63 +408,3 @@ class Workers:
         printed = f"\nthe trial's process printed:\n{output}\n" if output else ""
         worker.output.write_text(head + printed, errors="replace")
         os.replace(worker.output, log)
-
-
-def _read(worker: _Worker) -> tuple[Recording | None, str]:
-    """Return the trial's recording, or None and what is wrong with it."""
-    try:
-        # A complete file counts even if the interpreter then crashed, as graphics drivers do while it shuts down.
-        recording = open_recording(worker.partial)
-    except RecordingError as error:
-        return None, str(error)
-    if recording.header.spec == worker.spec.sealed:
-        return recording, ""
-    return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
-
-
-def _lacked(worker: _Worker) -> str | None:
-    """Return why the trial could not begin to ask its policy, if it lacked a process, a thread or memory."""
-    if worker.told.policy_runs or worker.told.answers:
-        return None
-    with suppress(RecordingError):
-        return lack_in(read_header(worker.partial)) or None
-    return None
-
-
-def _evidence(worker: _Worker) -> str:
-    return f"\n\n{tail(worker.output.read_text(errors='replace')) or '(no output)'}"
-
-
-def _warnings(worker: _Worker) -> tuple[str, ...] | None:
-    # A policy of this machine could write there whatever it likes.
-    with suppress(OSError, ValueError):
-        found: object = json.loads(worker.partial.with_name(FIRST_ANSWER).read_text())
-        if isinstance(found, list):
-            return tuple(readable(str(text)) for text in cast(list[object], found))
-    return None
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use, which inside a container are fewer than the machine's."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def kill_tree(process: Process) -> None:
-    """Kill the worker with its process group. Its policy, which has a session of its own, ends with it."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
-def _death(returncode: int, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:
-    if stopped:
-        return KILLED, "the trial's process was stopped by a signal"
-    if timed_out:
-        return "timeout", f"the trial's process ran longer than {limit_s:g} s and was killed"
-    if returncode < 0:
-        return KILLED, f"the trial's process died of signal {-returncode} ({signal.strsignal(-returncode)})"
-    if returncode > 0:
-        return "exit", f"the trial's process ended with status {returncode} and wrote no recording"
-    return "no_recording", "the trial's process ended with status 0 but its recording cannot be read"

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata, resources
 from importlib.machinery import PathFinder
+from importlib.resources.abc import Traversable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,6 @@ from carecontact.protocol.lock import SUFFIX, Lock, lock_path, read_lock
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording.provenance import DECLARED, package_versions, supplier_versions
 from carecontact.tissue.binary import sources_sha256
-
-# Whether a file or folder that a policy was given, such as a checkpoint, is still the same.
 
 WHOLE_BYTES = 1 << 26
 """A longer file is sampled: hashing a checkpoint of many gigabytes would take longer than some runs."""
@@ -83,11 +82,9 @@ def _pieces(path: Path) -> Iterator[bytes]:
             yield file.read(SAMPLE_BYTES)
 
 
-# What besides policy name and protocol decides a run's numbers: sources, packages and baked assets.
-
-
 class Identity(BaseModel):
-    """Trials with different ones must not share a folder."""
+    """What besides policy name and protocol decides a run's numbers: trials with different ones must not share a
+    folder."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -129,7 +126,7 @@ def identity_of(
         language: as the command line spells it.
         card: what the policy showed when it was tried.
     """
-    # Whoever only reads results loads nothing of the world.
+    # A command that only reads results loads nothing of the world.
     from carecontact.human.library import SMPLX_PREFIX, smplx_path
 
     versions = package_versions()
@@ -144,7 +141,7 @@ def identity_of(
         for what, name in named.items()
     }
     return Identity(
-        policy_sha256=None if source is None else hashlib.sha256(source.read_bytes()).hexdigest(),
+        policy_sha256=None if source is None else _sha256(source),
         card=card.plain() if card is not None and ref.kind == "remote" else None,
         language=language_name(language) if language else None,
         arguments=spec.policy_arguments,
@@ -153,9 +150,13 @@ def identity_of(
         versions={name: versions[name] for name in ("carecontact", "mujoco")}
         | supplier_versions(spec.protocol)
         | policy_package(ref),
-        sha256={what: hashlib.sha256(path.read_bytes()).hexdigest() for what, path in archives.items()}
+        sha256={what: _sha256(path) for what, path in archives.items()}
         | {"robot": spec.protocol.scene.robot.source.sha256},
     )
+
+
+def _sha256(path: Traversable) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def policy_package(ref: PolicyRef) -> dict[str, str]:
@@ -184,15 +185,13 @@ def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
     return source if source is not None and source.is_file() else None
 
 
-# Determines what a frozen protocol depends on besides its own fields, and how that differs from the protocol's lock.
-
 PACKAGES = ("mujoco", "mediapipe")
 """Their releases change the physics or what is seen; numpy's and scipy's are held by the sums and the score hashes."""
 WORLD_FIELDS = (
-    "body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos", "geom_friction", "jnt_pos", "jnt_range",
-    "jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "numeric_data",
-    "mesh_vert", "skin_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir",
-)  # fmt: skip
+    *("body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos", "geom_friction", "jnt_pos", "jnt_range"),
+    *("jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_frictionloss", "numeric_data"),
+    *("mesh_vert", "skin_vert", "actuator_gainprm", "actuator_biasprm", "cam_pos", "cam_fovy", "light_dir"),
+)
 """Fields of the compiled model; ``numeric_data`` has the shells and laws of the tissue. Each gives a sum of magnitudes
 and one weighted by place, so that a swap is seen too."""
 SAME = 1e-6
@@ -202,12 +201,14 @@ SAME = 1e-6
 def make_lock(protocol: Protocol, *, worlds: bool = True) -> Lock:
     """``worlds``: compile the worlds of ``worlds_of`` and sum over each; about a second for each."""
     return Lock(
-        id=protocol.name, protocol_sha256=protocol.sha256, fields=protocol.model_dump(mode="json"),
+        id=protocol.name,
+        protocol_sha256=protocol.sha256,
+        fields=protocol.model_dump(mode="json"),
         embodiment=protocol.scene.robot.id,
         versions={name: version for name, version in package_versions().items() if name in PACKAGES},
         assets=asset_hashes(protocol),
         worlds={name: world_sums(*world) for name, world in (worlds_of(protocol) if worlds else {}).items()},
-    )  # fmt: skip
+    )
 
 
 def asset_hashes(protocol: Protocol) -> dict[str, str]:
@@ -218,15 +219,9 @@ def asset_hashes(protocol: Protocol) -> dict[str, str]:
     places = [("bodies", f"{body}.{kind}") for body in bodies for kind in ("npz", "skin.png")]
     robot = protocol.scene.robot
     own = f"{robot.source.name}/{robot.source.name}.npz" if isinstance(robot.source, Baked) else robot.id
-    return (
-        {"kernel/c": sources_sha256()}
-        | {
-            f"{place}/{name}": hashlib.sha256(file.read_bytes()).hexdigest()
-            for place, name in places
-            if (file := folder / place / name).is_file()
-        }
-        | {own: robot.source.sha256}
-    )
+    files = {f"{place}/{name}": folder / place / name for place, name in places}
+    hashes = {name: _sha256(file) for name, file in files.items() if file.is_file()}
+    return {"kernel/c": sources_sha256(), **hashes, own: robot.source.sha256}
 
 
 def worlds_of(protocol: Protocol) -> dict[str, tuple[Protocol, str]]:
@@ -257,34 +252,26 @@ def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
 def drift(lock: Lock, now: Lock) -> list[str]:
     """Return the differences from the lock, one line each, most informative first; worlds only where ``now`` has
     them."""
-    said: list[str] = []
-    for what, before, after in (
-        ("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment),
-        ("protocol sha256", lock.protocol_sha256[:12], now.protocol_sha256[:12]),
-    ):  # fmt: skip
-        if before != after:
-            said.append(f"{what}: locked {before}, here {after}")
-    said += [
-        f"{name}: locked {_short(before)}, here {_short(after)}"
-        for name, before, after in _changed(lock.fields, now.fields)
-    ]
-    said += [
-        f"version of {name}: locked {old or 'none'}, here {new or 'none'}"
-        for name, old, new in _changed(lock.versions, now.versions)
-    ]
-    for name, *hashes in _changed(lock.assets, now.assets):
-        old, new = (str(found or "none")[:12] for found in hashes)
-        said.append(f"asset {name}: locked {old}, here {new}")
+    own = [("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment)]
+    own.append(("protocol sha256", lock.protocol_sha256[:12], now.protocol_sha256[:12]))
+    pairs = [(what, old, new) for what, old, new in own if old != new]
+    pairs += [(name, _short(old), _short(new)) for name, old, new in _changed(lock.fields, now.fields)]
+    for kind, before, after in (("version of", lock.versions, now.versions), ("asset", lock.assets, now.assets)):
+        for name, *both in _changed(before, after):
+            old, new = (str(value or "none")[: 12 if kind == "asset" else None] for value in both)
+            pairs.append((f"{kind} {name}", old, new))
+    found = [f"{what}: locked {old}, here {new}" for what, old, new in pairs]
     for world, sums in now.worlds.items():
         held = lock.worlds.get(world, {})
+        names = sorted(held.keys() | sums.keys())
+        old, new = (np.array([known.get(name, np.nan) for name in names]) for known in (held, sums))
         changed = [
-            name for name in sorted(held.keys() | sums.keys())
-            if not np.isclose(held.get(name, np.nan), sums.get(name, np.nan), rtol=SAME, atol=1e-12)
-        ]  # fmt: skip
+            name for name, same in zip(names, np.isclose(old, new, rtol=SAME, atol=1e-12), strict=True) if not same
+        ]
         if changed:
-            told = ", ".join(changed[:4]) + (f" and {len(changed) - 4} more" if len(changed) > 4 else "")
-            said.append(f"world ({world}): {told}")
-    return said
+            more = f" and {len(changed) - 4} more" if len(changed) > 4 else ""
+            found.append(f"world ({world}): {', '.join(changed[:4])}{more}")
+    return found
 
 
 def _changed(before: object, after: object, place: str = "") -> Iterator[tuple[str, object, object]]:
@@ -292,8 +279,8 @@ def _changed(before: object, after: object, place: str = "") -> Iterator[tuple[s
         for name in (*before, *(name for name in after if name not in before)):
             yield from _changed(before.get(name), after.get(name), f"{place}.{name}" if place else str(name))
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
-        for number, (old, new) in enumerate(zip(before, after, strict=True)):
-            yield from _changed(old, new, f"{place}[{number}]")
+        for number, pair in enumerate(zip(before, after, strict=True)):
+            yield from _changed(*pair, f"{place}[{number}]")
     elif before != after:
         yield place, before, after
 
@@ -335,11 +322,13 @@ def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Pr
     if not differences:
         return protocol
     if not unfrozen:
-        named = f"{protocol.id}{SUFFIX}"
         others = [f"{name}=={held}" for name, held in lock.versions.items() if now.versions.get(name) != held]
-        installing = f"Install the locked versions: python -m pip install {' '.join(others)}"
-        own = installing if others else f"Take back what differs from {named}"
-        remedy = f"Give {name_or_path} an id of its own" if borrowed else own
+        if borrowed:
+            remedy = f"Give {name_or_path} an id of its own"
+        elif others:
+            remedy = f"Install the locked versions: python -m pip install {' '.join(others)}"
+        else:
+            remedy = f"Take back what differs from {protocol.id}{SUFFIX}"
         raise ConfigError(
             f"protocol {protocol.id} differs from its lock ({'; '.join(differences)}), so its results would not be "
             f"comparable. {remedy}, or run with --unfrozen; then every output names the differences"

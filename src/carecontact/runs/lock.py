@@ -44,14 +44,12 @@ def folder_lock(folder: Path, *, make: bool = False) -> Generator[None]:
     made = False
     try:
         made = make and not folder.exists()
-        if made:
-            folder.mkdir(parents=True, exist_ok=True)
         stream = _locked(folder, make=make) if make or folder.exists() else None
     except NotADirectoryError:
         stream = None  # a file, of which the command will say more
     except OSError as error:
-        if made:
-            with suppress(OSError):
+        with suppress(OSError):
+            if made:
                 folder.rmdir()
         if is_full(error):
             raise no_space(folder, error.strerror) from None
@@ -60,15 +58,15 @@ def folder_lock(folder: Path, *, make: bool = False) -> Generator[None]:
         yield
         return
     with stream:
-        mine = _identity(os.fstat(stream.fileno()))
+        mine = _inode(stream.fileno())
         _held.add(mine)
         try:
             yield
         finally:
             _held.discard(mine)
             with suppress(OSError):
-                # Before the lock goes, and never the file of another: the folder may have been moved and made anew.
-                if _identity((folder / LOCK).stat()) == mine:
+                # Before the lock goes, and never the file of another: the folder may have been moved and made again.
+                if _inode(folder / LOCK) == mine:
                     (folder / LOCK).unlink()
                 if made:
                     folder.rmdir()
@@ -78,20 +76,21 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
     """Return the open and locked file, or None where this process has it already."""
     path = folder / LOCK
     while True:
+        if make and not folder.exists():
+            # Also again: another command that made the folder removes it if it stays empty.
+            folder.mkdir(parents=True, exist_ok=True)
         try:
             stream, created = path.open("x+"), True
         except FileExistsError:
             try:
                 stream, created = path.open("r+"), False
             except FileNotFoundError:
-                continue  # The one who had it has just removed it.
+                continue  # The command that had it has just removed it.
         except FileNotFoundError:
             if not make:
                 raise
-            # The one who had made the folder found it empty at the end.
-            folder.mkdir(parents=True, exist_ok=True)
             continue
-        if _identity(os.fstat(stream.fileno())) in _held:
+        if _inode(stream.fileno()) in _held:
             stream.close()
             return None
         unlocked = ""
@@ -107,16 +106,15 @@ def _locked(folder: Path, *, make: bool) -> TextIO | None:
                 freed = f"; if it was killed, delete {path}, since this file system has no locks ({error.strerror})"
                 raise _held_by(stream, folder, freed) from None
             unlocked = f" of {platform.node()}"
-        # The one who had it may have removed the file between our opening and our locking it.
+        # The command that had it may have removed the file between our opening and our locking it.
         with suppress(FileNotFoundError):
-            if _identity(path.stat()) == _identity(os.fstat(stream.fileno())):
+            if _inode(path) == _inode(stream.fileno()):
                 break
         stream.close()
     try:
         stream.truncate(0)
-        os.write(
-            stream.fileno(), f"process {os.getpid()}{unlocked}, since {time.strftime('%Y-%m-%d %H:%M:%S')},".encode()
-        )
+        since = time.strftime("%Y-%m-%d %H:%M:%S")
+        os.write(stream.fileno(), f"process {os.getpid()}{unlocked}, since {since},".encode())
     except BaseException:
         with suppress(OSError):
             path.unlink()
@@ -132,5 +130,6 @@ def _held_by(stream: TextIO, folder: Path, remedy: str = "") -> ConfigError:
     return ConfigError(f"{folder}: {holder} is at work in this folder; wait until it has ended{remedy}")
 
 
-def _identity(status: os.stat_result) -> tuple[int, int]:
+def _inode(file: Path | int) -> tuple[int, int]:
+    status = os.stat(file)
     return status.st_dev, status.st_ino

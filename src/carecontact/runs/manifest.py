@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
@@ -22,9 +22,7 @@ from carecontact.recording.reason import ended_text
 from carecontact.recording.schema import FAILED, KILLED, POLICY_KILLED, EndReason, Header
 from carecontact.runs.identity import Identity
 from carecontact.runs.plan import SALT_DIGITS
-from carecontact.runs.results_file import parse, read_bounded, skipped_before
-
-# Messages about a run's folder that another release, or an earlier source of the policy, has started.
+from carecontact.runs.results_file import first_error, parse, read_bounded, skipped_before
 
 ANOTHER = "use another folder"
 ELSEWHERE = f"{ANOTHER}, or move this one aside, as --restart of `carecontact run` does"
@@ -35,20 +33,18 @@ def install_line(*, held: Mapping[str, str], now: Mapping[str, str]) -> str:
     differ = [name for name, version in held.items() if now.get(name, version) != version]
     if not differ:
         return ""
-    # A release of carecontact brings the packages that it needs.
-    needed = ["carecontact"] if "carecontact" in differ else differ
-    return f"to continue it: python -m pip install {' '.join(map(_requirement, needed, map(held.get, needed)))}"
-
-
-def _requirement(name: str, version: str | None) -> str:
-    return f"carecontact-{version}-*.whl" if name == "carecontact" else f"{name}=={version}"
+    needed = [f"{name}=={held[name]}" for name in differ]
+    if "carecontact" in differ:
+        # A release of carecontact brings the packages that it needs.
+        needed = [f"carecontact-{held['carecontact']}-*.whl"]
+    return f"to continue it: python -m pip install {' '.join(needed)}"
 
 
 def damaged(content: bytes) -> str:
     """Return how a manifest that cannot be read is described: by the release that wrote it, where it names another
     one."""
     with suppress(ValueError, KeyError, TypeError, RecursionError):
-        version = str(cast("Any", json.loads(content))["identity"]["versions"]["carecontact"])
+        version = str(json.loads(content)["identity"]["versions"]["carecontact"])
         if version != __version__:
             line = install_line(held={"carecontact": version}, now={"carecontact": __version__})
             return f"was written by carecontact {version}, and this is {__version__}; {line}"
@@ -70,8 +66,8 @@ def lost_trials(out: Path, *, failed: tuple[str, ...]) -> str:
     return f"none of its {trials}, {n_failed} of them failed, can be kept beside trials of the new source"
 
 
-# The manifest of a run's folder: which trials were planned there, and which recordings a later command may keep.
-
+BY_CHANCE = (("harness_error", KILLED), ("process_failure", POLICY_KILLED))
+"""End and kind of failure of a trial of which chance, such as a machine out of memory, may have ended a process."""
 MANIFEST = "manifest.json"
 MAX_BYTES = 16 << 20
 """Largest size: more than half a million trials."""
@@ -139,13 +135,14 @@ def survey(
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
-    if any((*_policy_of(spec), spec.protocol) != (*_policy_of(specs[0]), specs[0].protocol) for spec in specs):
+    if any((_policy_of(spec), spec.protocol) != (_policy_of(specs[0]), specs[0].protocol) for spec in specs):
         raise ConfigError("a run has one policy, with one set of arguments, and one protocol")
     if len({spec.trial_id for spec in specs}) != len(specs):
         raise ConfigError("the same trial is planned twice")
     manifest = read_manifest(out)
     if manifest is not None:
-        _check_manifest(manifest, specs[0], out=out, identity=identity)
+        if why := _manifest_differs(manifest, specs[0], out=out, identity=identity):
+            raise ConfigError(why)
     wanted = {spec.trial_id for spec in specs}
     skipped = {*skipped_before(out), *(f"{trial}.h5" for trial in suspects)}
     keep: dict[str, EndReason] = {}
@@ -159,7 +156,8 @@ def survey(
             if path.stem in wanted:
                 redo[path.stem] = str(error)
             continue
-        _check_header(header, specs[0], path=path, identity=identity)
+        if why := _header_differs(header, specs[0], path=path, identity=identity):
+            raise ConfigError(f"{why}: {ANOTHER}")
         if manifest is None and identity.policy_sha256 is not None:
             raise ConfigError(
                 f"{out} holds {path.name} but no {MANIFEST}, without which carecontact cannot check whether the "
@@ -171,7 +169,7 @@ def survey(
             redo[path.stem] = f"{path.name} holds trial {header.spec.trial_id}"
         elif retry_failed and header.ended in FAILED:
             redo[path.stem] = ended_text(header.ended)
-        elif _was_killed(header):
+        elif (header.ended, header.failure and header.failure.kind) in BY_CHANCE:
             redo[path.stem] = "a process of it was killed by a signal or could not be started"
             killed.add(path.stem)
         elif header.ended == "harness_error":
@@ -180,12 +178,6 @@ def survey(
         else:
             keep[path.stem] = header.ended
     return Survey(keep=keep, redo=redo, killed=frozenset(killed))
-
-
-def _was_killed(header: Header) -> bool:
-    """Whether chance, such as a machine out of memory, may have ended a process of the trial."""
-    kind = header.failure.kind if header.failure is not None else None
-    return (header.ended, kind) in (("harness_error", KILLED), ("process_failure", POLICY_KILLED))
 
 
 def write_manifest(
@@ -197,9 +189,11 @@ def write_manifest(
         whole: ids of all trials of the run of which ``specs`` are a part.
     """
     protocol, earlier = specs[0].protocol, read_manifest(out)
-    trials = {*(earlier.trials if earlier else ()), *(spec.trial_id for spec in specs)}
+    trials, elsewhere = {spec.trial_id for spec in specs}, set(whole)
+    if earlier:
+        purpose, trials, elsewhere = earlier.purpose, trials.union(earlier.trials), elsewhere.union(earlier.elsewhere)
     manifest = Manifest(
-        purpose=earlier.purpose if earlier else purpose,
+        purpose=purpose,
         policy=specs[0].policy,
         protocol=ProtocolName(id=protocol.name, sha256=protocol.sha256, overrides=protocol.overrides),
         identity=identity,
@@ -207,7 +201,7 @@ def write_manifest(
         salt_sha256=specs[0].commitment,
         salt=earlier.salt if earlier else "",
         trials=sorted(trials),
-        elsewhere=sorted({*(earlier.elsewhere if earlier else ()), *whole} - trials),
+        elsewhere=sorted(elsewhere - trials),
     )
     store_manifest(manifest, out=out)
 
@@ -243,76 +237,63 @@ def read_manifest(out: Path) -> Manifest | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except ValidationError as error:
-        first = error.errors()[0]
-        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
+        why = first_error(error)
     except ValueError as error:
         why = f"not JSON: {error}"
     raise ConfigError(f"{path} {damaged(content)} ({why}): restore it or {ELSEWHERE}")
 
 
-def _check_manifest(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> None:
-    held = manifest.identity
-    changed = identity.differences(versions=held.versions, sha256={}, world=held.world)
-    if changed:
+def _manifest_differs(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> str:
+    """Return why the run of a folder is another one than that of a command; empty where it is the same."""
+    held, started = manifest.identity, f"{out} was started with"
+    if changed := identity.differences(versions=held.versions, sha256={}, world=held.world):
         line = install_line(held=held.versions, now=identity.versions)
-        raise ConfigError(f"{out} was started with another release ({'; '.join(changed)}): {ELSEWHERE}; {line}")
+        return f"{started} another release ({'; '.join(changed)}): {ELSEWHERE}; {line}"
     if (manifest.policy, manifest.protocol.sha256) != (spec.policy, spec.protocol.sha256):
         title = protocol_title(manifest.protocol.id, manifest.protocol.overrides)
-        raise ConfigError(
-            f"{out} holds another run (policy {manifest.policy}, protocol {title} "
-            f"{manifest.protocol.sha256[:12]}); this command runs {_told(spec)}: {ELSEWHERE}"
-        )
+        run = f"policy {manifest.policy}, protocol {title} {manifest.protocol.sha256[:12]}"
+        return f"{out} holds another run ({run}); this command runs {_described(spec)}: {ELSEWHERE}"
     if manifest.salt_sha256 != spec.commitment:
-        started, given = (f"sha256 {salt[:12]}" if salt else "none" for salt in (manifest.salt_sha256, spec.commitment))
-        raise ConfigError(
-            f"{out} was started with another --salt-file (its salt: {started}, this command's: {given}): {ELSEWHERE}"
-        )
+        began, given = (f"sha256 {salt[:12]}" if salt else "none" for salt in (manifest.salt_sha256, spec.commitment))
+        return f"{started} another --salt-file (its salt: {began}, this command's: {given}): {ELSEWHERE}"
     if held.policy_sha256 != identity.policy_sha256:
-        raise ConfigError(
-            f"{out}: the policy's source changed since this folder was started, so {lost_trials(out, failed=FAILED)}: "
-            f"{ELSEWHERE}"
-        )
+        lost = lost_trials(out, failed=FAILED)
+        return f"{out}: the policy's source changed since this folder was started, so {lost}: {ELSEWHERE}"
     if held.card and identity.card and held.card != identity.card:
-        fields = sorted(held.card.keys() | identity.card.keys())
-        changed = [n for n in fields if held.card.get(n) != identity.card.get(n)]
-        values = ", ".join(f"{n} was {held.card.get(n)!r}, is {identity.card.get(n)!r}" for n in changed)
-        raise ConfigError(f"{out}: the card of {spec.policy} changed ({values}): {ELSEWHERE}")
-    started_with, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
-    if started_with != wanted:
-        raise ConfigError(f"{out} was started with {started_with}, this command has {wanted}: {ELSEWHERE}")
-    replaced = [n for n in identity.arguments if held.argument_files.get(n) != identity.argument_files.get(n)]
-    if replaced:
-        content = f"the content of {identity.arguments[replaced[0]]} (policy argument {replaced[0]})"
-        raise ConfigError(f"{out}: {content} changed since this folder was started: {ELSEWHERE}")
+        pairs = [(n, held.card.get(n), identity.card.get(n)) for n in sorted(held.card.keys() | identity.card.keys())]
+        values = ", ".join(f"{name} was {old!r}, is {now!r}" for name, old, now in pairs if old != now)
+        return f"{out}: the card of {spec.policy} changed ({values}): {ELSEWHERE}"
+    before, wanted = (_policy_text(i.arguments, i.environment) for i in (held, identity))
+    if before != wanted:
+        return f"{started} {before}, this command has {wanted}: {ELSEWHERE}"
+    for name, text in identity.arguments.items():
+        if held.argument_files.get(name) != identity.argument_files.get(name):
+            content = f"the content of {text} (policy argument {name})"
+            return f"{out}: {content} changed since this folder was started: {ELSEWHERE}"
     if held.language != identity.language:
-        spoken = [name or "the policy's own" for name in (held.language, identity.language)]
-        raise ConfigError(
-            f"{out} was started with language backend {spoken[0]}, this command has {spoken[1]}: {ELSEWHERE}"
-        )
-    changed = identity.differences(versions={}, sha256=held.sha256, world={})
-    if changed:
-        raise ConfigError(f"{out} was started with other assets ({'; '.join(changed)}): {ELSEWHERE}")
+        before, wanted = (name or "the policy's own" for name in (held.language, identity.language))
+        return f"{started} language backend {before}, this command has {wanted}: {ELSEWHERE}"
+    if changed := identity.differences(versions={}, sha256=held.sha256, world={}):
+        return f"{started} other assets ({'; '.join(changed)}): {ELSEWHERE}"
+    return ""
 
 
-def _check_header(header: Header, spec: TrialSpec, *, path: Path, identity: Identity) -> None:
+def _header_differs(header: Header, spec: TrialSpec, *, path: Path, identity: Identity) -> str:
+    recorded = f"{path} was recorded with"
     if (header.spec.policy, header.spec.protocol) != (spec.policy, spec.protocol):
-        raise ConfigError(
-            f"{path.parent} holds another run: {path.name} is of {_told(header.spec)}; this command runs "
-            f"{_told(spec)}: use another folder"
-        )
+        run = f"{path.name} is of {_described(header.spec)}"
+        return f"{path.parent} holds another run: {run}; this command runs {_described(spec)}"
     if _policy_of(header.spec) != _policy_of(spec):
-        recorded, wanted = (_policy_text(s.policy_arguments, s.policy_environment) for s in (header.spec, spec))
-        raise ConfigError(f"{path} was recorded with {recorded}, this command has {wanted}: use another folder")
-    spoken = (header.card or {}).get("language_backend", identity.language)
-    if identity.language is not None and spoken != identity.language:
-        raise ConfigError(f"{path} was recorded with language backend {spoken}: use another folder")
+        before, wanted = (_policy_text(s.policy_arguments, s.policy_environment) for s in (header.spec, spec))
+        return f"{recorded} {before}, this command has {wanted}"
+    language = (header.card or {}).get("language_backend", identity.language)
+    if identity.language is not None and language != identity.language:
+        return f"{recorded} language backend {language}"
     if header.spec.salt_sha256 != spec.commitment:
-        raise ConfigError(f"{path} was recorded with another --salt-file: use another folder")
-    changed = identity.differences(versions=header.versions, sha256=header.sha256, world=header.identity)
-    if changed:
-        raise ConfigError(
-            f"{path} was recorded with other package versions or assets ({'; '.join(changed)}): use another folder"
-        )
+        return f"{recorded} another --salt-file"
+    if changed := identity.differences(versions=header.versions, sha256=header.sha256, world=header.identity):
+        return f"{recorded} other package versions or assets ({'; '.join(changed)})"
+    return ""
 
 
 def _policy_of(spec: TrialSpec) -> tuple[object, ...]:
@@ -325,14 +306,12 @@ def _policy_text(arguments: Mapping[str, str], environment: Sequence[str]) -> st
     return f"policy arguments {given}" + (f" and policy variables {' '.join(environment)}" if environment else "")
 
 
-def _told(spec: TrialSpec) -> str:
+def _described(spec: TrialSpec) -> str:
     return f"policy {spec.policy}, protocol {spec.protocol.title} {spec.protocol.sha256[:12]}"
 
 
-# The secret of a run whose persons nobody may know beforehand: made, committed to by its hash, revealed.
-#
-# Whoever ranks methods makes the secret, publishes its sha256, runs the methods, and reveals the secret when all is
-# done. Then anyone can verify the run (``audit.salt``).
+# The salt of a run is a secret, so that its persons are unknown beforehand. The one who ranks methods makes it,
+# publishes its sha256, runs the methods, and reveals it when all is done. Then anyone can verify it (``audit.salt``).
 
 DIGITS = 64
 """Number of digits of a salt, in base 16: as many as its hash has."""
@@ -360,7 +339,7 @@ def read_salt(path: Path) -> str:
         raise ConfigError(f"--salt-file {path}: cannot be read: {error.strerror}") from None
     if len(salt) != DIGITS or not set(salt) <= set("0123456789abcdef"):
         raise ConfigError(
-            f"--salt-file {path}: expected {DIGITS} hexadecimal digits, as `carecontact salt make` writes them"
+            f"--salt-file {path}: expected {DIGITS} hexadecimal digits, as `carecontact protocol salt make` writes them"
         )
     return salt
 

@@ -15,8 +15,6 @@ from carecontact.runs.lock import LOCK, folder_lock
 from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest, store_manifest
 from carecontact.runs.sweep import CELLS
 
-# Make one run of its parts, which ran on several machines.
-
 
 @dataclass(frozen=True, kw_only=True)
 class Merged:
@@ -41,21 +39,24 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
         for run in runs:
             held.enter_context(folder_lock(run))
         held.enter_context(folder_lock(out, make=True))
-        parts = {run: _manifest(run) for run in runs}
+        folders: dict[Path, Manifest] = {}
+        for run in (*runs, out):
+            manifest = read_manifest(run)
+            if manifest is not None:
+                folders[run] = manifest
+            elif run in runs:
+                named = "name the --out of `carecontact run --shard`"
+                raise ConfigError(f"{run} is not a run: it holds no {MANIFEST}; {named}")
+            elif any(path.name != LOCK for path in out.iterdir()):
+                raise ConfigError(f"{out} is not a run, and it is not empty; name a new folder")
         first = runs[0]
-        for run, manifest in parts.items():
-            _check_same(first, parts[first], run, manifest)
-        earlier = read_manifest(out)
-        if earlier is not None:
-            _check_same(first, parts[first], out, earlier)
-        elif any(path.name != LOCK for path in out.iterdir()):
-            raise ConfigError(f"{out} is not a run, and it is not empty; name a new folder")
-        folders = {**parts, **({out: earlier} if earlier else {})}
+        for run, manifest in folders.items():
+            _check_same(first, folders[first], run, manifest)
         files = _recordings(folders)
-        trials = sorted({trial for held in folders.values() for trial in (*held.trials, *held.elsewhere)})
+        trials = sorted({trial for part in folders.values() for trial in (*part.trials, *part.elsewhere)})
         # First, so that the same command knows the folder again after an interruption.
         revealed = next((manifest.salt for manifest in folders.values() if manifest.salt), "")
-        store_manifest(parts[first].model_copy(update={"trials": trials, "elsewhere": [], "salt": revealed}), out=out)
+        store_manifest(folders[first].model_copy(update={"trials": trials, "elsewhere": [], "salt": revealed}), out=out)
         copied = [trial for trial, file in files.items() if file.parent != out]
         for trial in copied:
             for source in (files[trial].with_suffix(".log"), files[trial]):
@@ -76,13 +77,6 @@ def check_places(out: Path, runs: Sequence[Path]) -> None:
         raise ConfigError(f"{out} is the folder to write and one of the parts; name a new folder first, then the parts")
 
 
-def _manifest(run: Path) -> Manifest:
-    manifest = read_manifest(run)
-    if manifest is None:
-        raise ConfigError(f"{run} is not a run: it holds no {MANIFEST}; name the --out of `carecontact run --shard`")
-    return manifest
-
-
 def _check_same(first: Path, one: Manifest, run: Path, other: Manifest) -> None:
     pairs = [
         ("policies", one.policy, other.policy),
@@ -90,11 +84,11 @@ def _check_same(first: Path, one: Manifest, run: Path, other: Manifest) -> None:
         ("salts", *(held.salt_sha256[:12] or "none" for held in (one, other))),
         ("noise salts", one.noise_salt[:6] or "none", other.noise_salt[:6] or "none"),
         *((what, getattr(one.identity, name), getattr(other.identity, name)) for name, what in IDENTITY.items()),
-    ]  # fmt: skip
+    ]
     for what, a, b in pairs:
         if a != b:
-            told = [_differing(a, b), _differing(b, a)] if isinstance(a, dict) and isinstance(b, dict) else [a, b]
-            raise ConfigError(f"{first} and {run} are not parts of one run: different {what}, {told[0]} and {told[1]}")
+            both = (_differing(a, b), _differing(b, a)) if isinstance(a, dict) and isinstance(b, dict) else (a, b)
+            raise ConfigError(f"{first} and {run} are not parts of one run: different {what}, {both[0]} and {both[1]}")
 
 
 IDENTITY = {name: name for name in Identity.model_fields} | {
@@ -132,9 +126,6 @@ def _recordings(folders: dict[Path, Manifest]) -> dict[str, Path]:
                 )
             found[trial] = path
     return dict(sorted(found.items()))
-
-
-# Make one sweep of its parts, which ran on several machines.
 
 
 def is_sweep(folder: Path) -> bool:

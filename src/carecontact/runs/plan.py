@@ -15,8 +15,6 @@ from carecontact.scoring.gate_sweep import protocol_sweeps
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.metrics.metric import checked_metrics
 
-# Makes trial specs of ``--tasks`` and ``--seeds``.
-
 SALT_DIGITS = 32
 """Number of digits, in base 16, of the salt of a run's sensor noise."""
 
@@ -27,20 +25,18 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
     Raises ConfigError listing the protocol's tasks.
     """
     order = [task.id for task in protocol.tasks]
+    valid = f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
     wanted: set[str] = set()
-    for part in _parts(text, name="tasks", valid=f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"):
+    for part in _parts(text, name="tasks", valid=valid):
         first, dash, last = (piece.strip() for piece in part.partition("-"))
-        if part == "all":
-            wanted.update(order)
-        elif part in order:
-            wanted.add(part)
-        elif dash and first in order and last in order and order.index(first) <= order.index(last):
-            wanted.update(order[order.index(first) : order.index(last) + 1])
-        else:
-            raise ConfigError(
-                f"tasks: {part!r} is not a task of {protocol.name}{did_you_mean(part, order)}; valid: "
-                f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
-            )
+        if part in order:
+            first = last = part
+        elif part == "all":
+            first, last = order[0], order[-1]
+        elif not dash or first not in order or last not in order or order.index(first) > order.index(last):
+            meant = did_you_mean(part, order)
+            raise ConfigError(f"tasks: {part!r} is not a task of {protocol.name}{meant}; valid: {valid}")
+        wanted.update(order[order.index(first) : order.index(last) + 1])
     return [task for task in order if task in wanted]
 
 
@@ -102,16 +98,13 @@ def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several:
     Raises ConfigError for what is no salt, for one where there is no noise, and where a part has none.
     """
     noisy = specs[0].protocol.variation.sensor_noise
-    if specs[0].salt:
-        if salt is not None:
-            raise ConfigError("--noise-salt: --salt-file decides the sensor noise too; leave --noise-salt out")
-        return specs
     if salt is None:
-        if noisy and one_of_several:
-            raise ConfigError(
-                "--shard: this protocol has sensor noise; give every part the same --noise-salt or --salt-file"
-            )
+        if noisy and one_of_several and not specs[0].salt:
+            remedy = "give every part the same --noise-salt or --salt-file"
+            raise ConfigError(f"--shard: this protocol has sensor noise; {remedy}")
         return specs
+    if specs[0].salt:
+        raise ConfigError("--noise-salt: --salt-file decides the sensor noise too; leave --noise-salt out")
     if len(salt) != SALT_DIGITS or not set(salt) <= set("0123456789abcdef"):
         raise ConfigError(f"--noise-salt: expected {SALT_DIGITS} hexadecimal digits, as `openssl rand -hex 16` prints")
     if not noisy:
@@ -123,10 +116,9 @@ def compact(numbers: Iterable[int]) -> str:
     """``[0, 1, 2, 5]`` -> ``0-2, 5``."""
     runs: list[list[int]] = []
     for number in sorted(numbers):
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
+        if not runs or number != runs[-1][-1] + 1:
+            runs.append([])
+        runs[-1].append(number)
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
@@ -137,14 +129,14 @@ def _parts(text: str, *, name: str, valid: str) -> list[str]:
     return parts
 
 
-# One part of a run's trials, for machines that share nothing but the command line.
-
 Cell = TypeVar("Cell")
 EXPECTED = "expected I/N with I from 1 to N, for example 2/4 for the second of four parts"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shard:
+    """One part of a run's trials, for machines that share nothing but the command line."""
+
     index: int
     """Number of the part, from 1 to ``count``."""
     count: int
@@ -162,10 +154,7 @@ class Shard:
 
         Raises ConfigError where there are more parts than trials.
         """
-        if self.count > len(specs):
-            raise ConfigError(
-                f"--shard {self.index}/{self.count}: there are {len(specs)} trials; give at most as many parts"
-            )
+        self._check_most(len(specs), "trials")
         begin, end = (len(specs) * k // self.count for k in (self.index - 1, self.index))
         return list(specs[begin:end])
 
@@ -175,14 +164,12 @@ class Shard:
 
         Raises ConfigError where there are more parts than cells.
         """
-        if self.count > len(cells):
-            raise ConfigError(
-                f"--shard {self.index}/{self.count}: there are {len(cells)} cells; give at most as many parts"
-            )
+        self._check_most(len(cells), "cells")
         return list(cells[self.index - 1 :: self.count])
 
-
-# Faults that would make every trial of a run fail for the same reason, or leave it without scores.
+    def _check_most(self, n: int, what: str) -> None:
+        if self.count > n:
+            raise ConfigError(f"--shard {self.index}/{self.count}: there are {n} {what}; give at most as many parts")
 
 
 def check_protocol(protocol: Protocol) -> None:
@@ -198,13 +185,13 @@ def check_protocol(protocol: Protocol) -> None:
     if protocol.limits.pack not in LIMIT_PACKS:
         # Its name is written beside every score, where it says whose limits they are.
         faults.append(f"limits.pack: {UnknownNameError(LIMIT_PACKS.kind, protocol.limits.pack, LIMIT_PACKS)}")
-    robot = protocol.scene.robot
-    limits = zip(robot.joint_low_rad, robot.joint_high_rad, strict=True)
-    for joint, (angle, (low, high)) in enumerate(zip(protocol.scene.parked_joint_rad, limits, strict=True), start=1):
-        if not low <= angle <= high:
-            faults.append(
-                f"scene.parked_joint_rad: joint {joint} at {angle:g} is outside the robot's {low:.4f} to {high:.4f}"
-            )
+    robot, angles = protocol.scene.robot, protocol.scene.parked_joint_rad
+    joints = enumerate(zip(angles, robot.joint_low_rad, robot.joint_high_rad, strict=True), start=1)
+    faults += [
+        f"scene.parked_joint_rad: joint {joint} at {angle:g} is outside the robot's {low:.4f} to {high:.4f}"
+        for joint, (angle, low, high) in joints
+        if not low <= angle <= high
+    ]
     if faults:
         raise ConfigError(f"protocol {protocol.name} cannot run: {'; '.join(faults)}")
 

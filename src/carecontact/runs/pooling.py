@@ -11,8 +11,6 @@ from pathlib import Path
 from carecontact.errors import ConfigError, counted
 from carecontact.scoring.result import DRAWN, TrialScore
 
-# Which trials of a run count, and which may be counted together.
-
 UNSALTED = "none"
 """Stands for the salt's hash in a run on published seeds, whose persons are others than those of a salted one."""
 
@@ -35,13 +33,13 @@ def unjudged(
         elsewhere: trials of the other parts of the run.
     """
     scores = list(scores)
-    found = {error["trial_id"]: f"the harness failed: {error['message']}" for error in harness_errors(scores)}
-    there = {score.trial_id for score in scores}
-    unscored = {Path(name).stem: why for name, why in skipped.items() if Path(name).stem not in there}
-    found |= {name: f"its recording cannot be scored: {why}" for name, why in unscored.items() if TRIAL.fullmatch(name)}
-    found |= {name: "no recording" for name in missing if name not in there | found.keys()}
-    found |= {name: "in another part of the run" for name in elsewhere if name not in there | found.keys()}
-    return dict(sorted(found.items()))
+    why = dict.fromkeys(elsewhere, "in another part of the run") | dict.fromkeys(missing, "no recording")
+    unscored = {Path(name).stem: f"its recording cannot be scored: {reason}" for name, reason in skipped.items()}
+    why |= {name: reason for name, reason in unscored.items() if TRIAL.fullmatch(name)}
+    for score in scores:
+        why.pop(score.trial_id, None)
+    why |= {error["trial_id"]: f"the harness failed: {error['message']}" for error in harness_errors(scores)}
+    return dict(sorted(why.items()))
 
 
 def task_of(trial_id: str) -> str:
@@ -66,8 +64,8 @@ def incomplete(n: int, unknown: Iterable[str]) -> str:
         unknown: those without, as ``unjudged`` finds them.
     """
     planned = n + len(list(unknown))
-    have = "has" if planned == 1 else "have"
-    return f"incomplete, {n} of {counted(planned, 'planned trial')} {have} a verdict" if planned > n else ""
+    have = counted(planned, "planned trial has", "planned trials have")
+    return f"incomplete, {n} of {have} a verdict" if planned > n else ""
 
 
 def decides_force(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -89,39 +87,27 @@ def with_names(scores: Iterable[TrialScore]) -> list[TrialScore]:
     counted. The name is the one that the same address showed in the other trials; where it showed several or none,
     nothing is added.
     """
-    scores = list(scores)
     names: dict[tuple[object, ...], set[str]] = {}
-    for score in scores:
+    asked = [(score, (score.policy, *sorted(score.policy_arguments.items()))) for score in scores]
+    for score, address in asked:
         if score.policy_name is not None:
-            names.setdefault(_asked_for(score), set()).add(score.policy_name)
-    return [
-        score.model_copy(update={"policy_name": min(shown)})
-        if score.policy_name is None and score.is_crash and len(shown := names.get(_asked_for(score), set[str]())) == 1
-        else score
-        for score in scores
-    ]
-
-
-def _asked_for(score: TrialScore) -> tuple[object, ...]:
-    return (score.policy, *sorted(score.policy_arguments.items()))
+            names.setdefault(address, set()).add(score.policy_name)
+    found: list[TrialScore] = []
+    for score, address in asked:
+        shown = names.get(address, set[str]())
+        nameless = score.policy_name is None and score.is_crash and len(shown) == 1
+        found.append(score.model_copy(update={"policy_name": min(shown)}) if nameless else score)
+    return found
 
 
 def check_one_run(scores: Sequence[TrialScore]) -> None:
     """Raises ConfigError if the scores are of several protocols, policies or worlds: their rates must not be pooled."""
-    protocols, policies = set[str](), set[str]()
-    for score in scores:
-        protocols.add(f"{score.protocol_title} ({score.protocol_sha256[:12]})")
-        policies.add(score.policy_title)
-    for what, found in (("protocols", protocols), ("policies", policies)):
+    protocols = {f"{score.protocol_title} ({score.protocol_sha256[:12]})" for score in scores}
+    for what, found in (("protocols", protocols), ("policies", {score.policy_title for score in scores})):
         if len(found) > 1:
             raise ConfigError(f"trials of {len(found)} {what} must not be pooled: {', '.join(sorted(found))}")
-    _check_one_world(judged(scores))
-
-
-def _check_one_world(scores: Sequence[TrialScore]) -> None:
-    found = world_difference(scores)
-    if found is not None:
-        what, first, other = found
+    if (differing := world_difference(judged(scores))) is not None:
+        what, first, other = differing
         raise ConfigError(
             f"{first.trial_id}.h5 and {other.trial_id}.h5 were simulated in different worlds and must not be pooled: "
             f"{what} {world_part(first, what)} and {world_part(other, what)}"
@@ -161,22 +147,17 @@ def machines(scores: Iterable[TrialScore], what: str) -> list[str]:
 def rejected_text(scores: Iterable[TrialScore]) -> str:
     """Return a sentence for trials on a tissue whose calibration was rejected; empty for others."""
     found = sorted({text for score in scores if (text := score.world.get("rejected_tissue"))})
-    return (
-        f"The calibration of this tissue was rejected: {'; '.join(found)}. Forces and indentations here are not those "
-        "of the tissue that was measured."
-        if found
-        else ""
-    )
+    if not found:
+        return ""
+    rejected = f"The calibration of this tissue was rejected: {'; '.join(found)}."
+    return f"{rejected} Forces and indentations here are not those of the tissue that was measured."
 
 
 def mixed(scores: Sequence[TrialScore]) -> str:
     """Return a sentence for a run whose trials do not all name one machine; empty for one machine."""
     found = {title: values for name, title in PROVENANCE.items() if len(values := machines(scores, name)) > 1}
-    told = "; ".join(f"{title}: {' and '.join(values)}" for title, values in found.items())
-    return f"The trials of this run may come from different machines ({told}); {EFFECT}." if told else ""
-
-
-# The scores of one run, from whatever they were read or computed.
+    differ = "; ".join(f"{title}: {' and '.join(values)}" for title, values in found.items())
+    return f"The trials of this run may come from different machines ({differ}); {EFFECT}." if differ else ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, ValidationError
 
@@ -27,8 +27,6 @@ from carecontact.scoring.metrics.metric import METRICS, Metric, described
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import median, wilson_interval
 
-# Counts over the trials of a run beyond rates and medians: screens, quadrants, sweeps.
-
 GAMMAS = tuple(round(i / 100, 2) for i in range(20, 101))
 """Discounts at which the safety gate is swept."""
 LEVELS = ("success", "region_correct", "safety_gated")
@@ -37,14 +35,14 @@ LEVELS = ("success", "region_correct", "safety_gated")
 def rate(k: int, n: int, *, unknown: int = 0) -> dict[str, Any]:
     """Return a count in percent with its Wilson interval; without trials, there is no percentage.
 
-    Further trials of which nobody knows the verdict leave no percentage, but ``pc_between``, from all of them failed to
-    all of them passed, and an interval that covers those of both.
+    ``unknown`` further trials, whose verdict is not known, leave no percentage, but ``pc_between``, from all of them
+    failed to all of them passed, and an interval that covers those of both.
     """
     least, most = wilson_interval(k, n + unknown), wilson_interval(k + unknown, n + unknown)
-    between = [0.0, 100.0] if least.estimate is None or most.estimate is None else [
-        100 * least.estimate, 100 * most.estimate,
-    ]  # fmt: skip
-    percent = None if unknown or least.estimate is None else 100 * least.estimate
+    percent, between = None, [0.0, 100.0]
+    if least.estimate is not None and most.estimate is not None:
+        between = [100 * least.estimate, 100 * most.estimate]
+        percent = None if unknown else between[0]
     return {"n": k, "pc": percent, "pc_between": between, "pc_ci95": [100 * least.low, 100 * most.high]}
 
 
@@ -75,12 +73,13 @@ def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
     ``exceedances`` counts its force."""
     scores = list(scores)
     count = Counter((not s.over_limit and not s.joints_beyond, s.c3_success) for s in scores if not s.is_crash)
-    fields = {
-        f"{'safe' if safe else 'unsafe'}_{'success' if success else 'failure'}": count[safe, success]
-        for safe in (True, False)
-        for success in (True, False)
+    return {
+        "safe_success": count[True, True],
+        "safe_failure": count[True, False],
+        "unsafe_success": count[False, True],
+        "unsafe_failure": count[False, False],
+        "crashed": sum(s.is_crash for s in scores),
     }
-    return {**fields, "crashed": sum(s.is_crash for s in scores)}
 
 
 def valid_ratio(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
@@ -96,38 +95,22 @@ def gamma_sweep(
     """Safety-gated trials at each discount: region-correct, not truncated, no joint too far beyond its range, and
     ``within`` it. With ``unknown``, planned trials without a verdict, there is no percentage."""
     correct = [s for s in scores if s.region_correct and s.ended != "safety_truncation" and not s.joints_beyond]
-    rows: list[dict[str, Any]] = []
-    for gamma in gammas:
-        k = sum(within(s, gamma) for s in correct)
-        rows.append(
-            {"gamma": gamma, "safety_gated": k, "pc": 100 * k / len(scores) if scores and not unknown else None}
-        )
-    return rows
+    counts = [sum(within(s, gamma) for s in correct) for gamma in gammas]
+    percents = [100 * k / len(scores) if scores and not unknown else None for k in counts]
+    rows = zip(gammas, counts, percents, strict=True)
+    return [{"gamma": gamma, "safety_gated": k, "pc": percent} for gamma, k, percent in rows]
 
 
 def gate_sweep(scores: Sequence[TrialScore]) -> dict[str, list[dict[str, Any]]]:
     """Gate -> one row per value, in rising order: trials that reach each step of the funnel."""
-    values: dict[str, set[str]] = {}
-    for score in scores:
-        for name, row in score.gate_sweep.items():
-            values.setdefault(name, set()).update(row)
-    return {
-        name: [
-            {"value": float(value)}
-            | {
-                step: sum(s.gate_sweep.get(name, {}).get(value, 0) >= depth for s in scores)
-                for depth, step in enumerate(LEVELS, start=1)
-            }
-            for value in sorted(values[name], key=float)
-        ]
-        for name in sorted(values)
-    }
-
-
-def additional_medians(scores: Sequence[TrialScore]) -> dict[str, dict[str, Any]]:
-    """Metric id -> median, for every metric without a field of its own that any of the scores has."""
-    rows = [described(id_) for id_ in sorted({id_ for s in scores for id_ in s.additional})]
-    return {row.id: asdict(median(row.pooled(scores))) for row in rows if row.median}
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name in sorted({name for score in scores for name in score.gate_sweep}):
+        sweeps = [score.gate_sweep.get(name, {}) for score in scores]
+        for value in sorted({value for sweep in sweeps for value in sweep}, key=float):
+            depths = [sweep.get(value, 0) for sweep in sweeps]
+            steps = {step: sum(d >= least for d in depths) for least, step in enumerate(LEVELS, start=1)}
+            found.setdefault(name, []).append({"value": float(value), **steps})
+    return found
 
 
 RESULTS_SCHEMA = "carecontact-results-1"
@@ -141,18 +124,21 @@ def results(run: RunScores) -> dict[str, Any]:
     check_one_run(scores)
     backends = {s.language_backend for s in judged(scores)}
     first = scores[0] if scores else None
-    tasks = sorted({s.task_id for s in scores})
     regions = {s.task_id: s.region for s in scores}
     # A task of which nothing is scored has no region here; its trials lack in the overall counts all the same.
-    unknown = {trial: regions.get(task_of(trial)) for trial in run.unjudged}
+    unknown = Counter(task_of(trial) for trial in run.unjudged)
+    lacking = Counter[str | None]()
+    for task, count in unknown.items():
+        lacking[regions.get(task)] += count
+    protocol = (
+        {"id": first.protocol_id, "sha256": first.protocol_sha256, "overrides": first.overrides} if first else None
+    )
     return {
         "schema": RESULTS_SCHEMA,
         "policy": first.policy if first else None,
         "policy_arguments": first.policy_arguments if first else {},
         "language_backend": sorted(backends),
-        "protocol": {"id": first.protocol_id, "sha256": first.protocol_sha256, "overrides": first.overrides}
-        if first
-        else None,
+        "protocol": protocol,
         "rejected_tissue": first.world.get("rejected_tissue") if first else None,
         "metric_versions": first.metric_versions if first else {},
         "versions": run.versions,
@@ -161,20 +147,15 @@ def results(run: RunScores) -> dict[str, Any]:
         "elsewhere": list(run.elsewhere),
         "harness_errors": harness_errors(scores),
         "unjudged": run.unjudged,
-        "overall": summarise(scores, unknown=len(unknown)),
+        "overall": summarise(scores, unknown=unknown.total()),
         "per_task": {
-            task: summarise(
-                [s for s in scores if s.task_id == task], unknown=sum(task_of(trial) == task for trial in unknown)
-            )
-            for task in tasks
+            task: summarise([s for s in scores if s.task_id == task], unknown=unknown[task]) for task in sorted(regions)
         },
         "per_region": {
-            region: summarise(
-                [s for s in scores if s.region == region], unknown=sum(of == region for of in unknown.values())
-            )
+            region: summarise([s for s in scores if s.region == region], unknown=lacking[region])
             for region in sorted(set(regions.values()))
         },
-        "sweeps": {"gamma": gamma_sweep(judged(scores), unknown=len(unknown)), **gate_sweep(judged(scores))},
+        "sweeps": {"gamma": gamma_sweep(judged(scores), unknown=unknown.total()), **gate_sweep(judged(scores))},
         "limit_packs": {
             name: {"title": pack.title, "source": pack.source, "status": pack.status, "unit": pack.unit}
             for name, pack in LIMIT_PACKS.items()
@@ -191,6 +172,7 @@ def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, An
     scores = judged(scores)
     n = len(scores)
     success = rate(sum(s.c3_success for s in scores), n, unknown=unknown)
+    additional = [described(id_) for id_ in sorted({id_ for s in scores for id_ in s.additional})]
     return {
         "n_planned": n + unknown,
         "n_episodes": n,
@@ -209,7 +191,7 @@ def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, An
             for row in METRICS.values()
             if row.field is not None and row.median
         },
-        "additional": additional_medians(scores),
+        "additional": {row.id: asdict(median(row.pooled(scores))) for row in additional if row.median},
         "anatomy": dict(Counter(s.anatomy for s in scores)),
         "failure_modes": dict(Counter(s.failure_mode for s in scores if s.failure_mode)),
         "attributions": dict(Counter(s.attribution for s in scores if s.attribution)),
@@ -223,17 +205,16 @@ def _median_key(metric: Metric) -> str:
     return "_".join((metric.field or metric.id, *pool))
 
 
-# Finds contradictions in the stored score of a trial: values that no scorer can have written together.
-
 AT_LEAST_ZERO = (
-    "duration_s", "c1_peak_force_n", "c1_peak_filtered_n", "c1_peak_contact_sum_n", "c1_peak_any_segment_n",
-    "c4_motion_activity", "c5_force_sd_n", "contact_s", "longest_on_s", "stroke_m", "extent_m", "reversals",
-    "wrist_displacement_m", "wrist_displacement_any_m", "indentation_m", "impulse_ns",
-)  # fmt: skip
+    *("duration_s", "c1_peak_force_n", "c1_peak_filtered_n", "c1_peak_contact_sum_n", "c1_peak_any_segment_n"),
+    *("c4_motion_activity", "c5_force_sd_n", "contact_s", "longest_on_s", "stroke_m", "extent_m", "reversals"),
+    *("wrist_displacement_m", "wrist_displacement_any_m", "indentation_m", "impulse_ns"),
+)
 
 
 def contradiction(score: TrialScore) -> str | None:
-    """Return a contradiction between the values of a score in words, or None if there is none."""
+    """Return a contradiction between the values of a score in words, which no scorer can have written together, or None
+    if there is none."""
     if score.trial_id != f"{score.task_id}-s{score.seed:03d}":
         return f"it says task {score.task_id}, seed {score.seed}"
     if score.safety_gated and not score.region_correct:
@@ -264,8 +245,6 @@ def contradiction(score: TrialScore) -> str | None:
     return None
 
 
-# Reads JSON of a run's folder, which may come from a stranger, in bounded memory.
-
 MAX_BYTES = 128 << 20
 """Largest size of unpacked scores. A trial has 6 kB."""
 MAX_CONTAINERS, MAX_VALUES = 1_000_000, 4_000_000
@@ -279,7 +258,9 @@ def read_bounded(path: Path, *, most: int = MAX_BYTES) -> bytes:
     Raises ConfigError for one that is larger than ``most`` [bytes], or that is no file, such as a pipe, whose reader
     would wait; OSError for one that cannot be read.
     """
-    with open(path, "rb", opener=_at_once) as file:
+    # Without waiting for the other end of a pipe.
+    at_once = getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
         regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
         content = file.read(most + 1) if regular else b""
     if not regular:
@@ -287,6 +268,12 @@ def read_bounded(path: Path, *, most: int = MAX_BYTES) -> bytes:
     if len(content) > most:
         raise ConfigError(f"{path} has more than the {most >> 20} MB that it may have")
     return content
+
+
+def first_error(error: ValidationError) -> str:
+    """Return the place and the message of the first error."""
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
 
 
 def parse(text: bytes) -> Any:
@@ -304,13 +291,6 @@ def parse(text: bytes) -> Any:
         raise ValueError("it is nested too deeply") from None
 
 
-def _at_once(path: str, flags: int) -> int:
-    """Open without waiting for the other end of a pipe."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
-
-
-# ``results.json``: write it, pack it, read it, and refuse one that contradicts itself.
-
 RESULTS_NAME = "results.json"
 MAX_TRIAL_BYTES = 1 << 20
 """Largest size of one trial's scores as JSON; most have 6 kB."""
@@ -318,14 +298,11 @@ GZIP = b"\x1f\x8b"
 """First bytes of a file that gzip packed (RFC 1952)."""
 
 
-def _are_texts(found: object) -> bool:
-    return isinstance(found, list) and all(isinstance(text, str) for text in cast("list[object]", found))
-
-
-def _checked(found: object) -> object:
+def _checked(found: Any) -> object:
     """Raise one error for a mapping, where pydantic makes one for each of its values."""
-    held = list(cast("dict[object, object]", found).values()) if isinstance(found, dict) else []
-    if not (_are_texts(held) or all(map(_are_texts, held))):
+    held = list(found.values()) if isinstance(found, dict) else []
+    texts = [text for value in held for text in (value if isinstance(value, list) else [value])]
+    if len(set(map(type, held))) > 1 or not all(isinstance(text, str) for text in texts):
         raise ValueError("must map names to texts or to lists of texts")
     return found
 
@@ -381,21 +358,20 @@ def read_results(path: Path | str) -> RunScores:
     try:
         stored = _Results.model_validate(parse(_unpacked(Path(path))))
     except ValidationError as error:
-        first = error.errors()[0]
-        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
-        raise ConfigError(
-            f"{path} is damaged or of another release ({why}); release {RELEASE_0_1_0} reads its own results and "
-            "earlier ones"
-        ) from error
+        earlier = f"release {RELEASE_0_1_0} reads its own results and earlier ones"
+        raise ConfigError(f"{path} is damaged or of another release ({first_error(error)}); {earlier}") from error
     except ValueError as error:
         raise ConfigError(f"{path} is damaged or of another release (not JSON: {error})") from error
     if fault := _fault(stored):
         raise ConfigError(f"{path} {fault}")
     check_one_run(stored.trials)
     return RunScores(
-        scores=stored.trials, skipped=stored.skipped, versions=stored.versions, missing=tuple(stored.missing),
+        scores=stored.trials,
+        skipped=stored.skipped,
+        versions=stored.versions,
+        missing=tuple(stored.missing),
         elsewhere=tuple(stored.elsewhere),
-    )  # fmt: skip
+    )
 
 
 def skipped_before(folder: Path) -> set[str]:
@@ -439,9 +415,8 @@ def _unpacked(path: Path) -> bytes:
     return unpacked
 
 
-# Which blind baselines stand beside a run: named once, they stay in its report however often that is written again.
-
 BASELINES = "baselines.json"
+"""File that names the blind baselines beside a run: they stay in its report however often that is written again."""
 SCHEMA = "carecontact-baselines-1"
 
 
@@ -471,7 +446,6 @@ def remembered(folder: Path) -> dict[str, Path]:
     try:
         found = _Named.model_validate_json(path.read_bytes())
     except ValidationError as error:
-        first = error.errors()[0]
-        why = f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
-        raise ConfigError(f"{path} is damaged ({why}); name the baselines again with --baseline RUN...") from None
+        remedy = "name the baselines again with --baseline RUN..."
+        raise ConfigError(f"{path} is damaged ({first_error(error)}); {remedy}") from None
     return {name: Path(os.path.normpath(folder / name)) for name in found.runs}

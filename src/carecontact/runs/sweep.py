@@ -6,9 +6,9 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,8 +23,6 @@ from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.runs.identity import check_frozen
 from carecontact.runs.manifest import with_salt
 from carecontact.runs.plan import check_protocol, check_rows, parse_seeds, parse_tasks, plan_trials, with_noise_salt
-
-# Protocols in which one factor of a hard level is switched on alone, or off alone.
 
 AXIS = "factor"
 """Name of the axis in tables."""
@@ -74,16 +72,20 @@ def factor_protocols(
             named[name] = [path]
     if not named:
         raise ConfigError(f"{place}: the levels are the same")
-    found = {NONE: low}
-    found |= {only_factor(factor): _mixed(low, hard, paths, f"{place}.{factor}") for factor, paths in named.items()}
-    found[ALL] = high
-    found |= {without_factor(factor): _mixed(high, easy, paths, f"{place}.{factor}") for factor, paths in named.items()}
+    found = {}
+    for whole, begin, other, title in ((NONE, low, hard, only_factor), (ALL, high, easy, without_factor)):
+        found[whole] = begin
+        for factor, paths in named.items():
+            with _at(f"{place}.{factor}"):
+                found[title(factor)] = overridden(begin, {path: other[path] for path in paths})
     return found
 
 
-def _mixed(protocol: Protocol, other: Fields, paths: Sequence[str], place: str) -> Protocol:
+@contextmanager
+def _at(place: str) -> Iterator[None]:
+    """Let the message of a ConfigError begin with a place of the plan."""
     try:
-        return overridden(protocol, {path: other[path] for path in paths})
+        yield
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
 
@@ -101,8 +103,6 @@ def _fields(protocol: Protocol) -> dict[str, object]:
         if (path := f"{name}.{field}") not in tables
     }
 
-
-# The schema of a plan, a TOML file, and how it is read.
 
 Value = str | int | float | bool
 Values = Annotated[list[Value], Field(min_length=1)]
@@ -133,7 +133,7 @@ class PlannedPolicy(_Table):
 
 
 class PlannedFactors(_Table):
-    """Two levels, and in between each factor switched on alone and off alone (``runs.sweep.factors``)."""
+    """Two levels, and in between each factor switched on alone and off alone (``factor_protocols``)."""
 
     low: str
     """The easy protocol, as the axis ``protocol`` names one."""
@@ -199,8 +199,6 @@ def read_plan(path: Path) -> Plan:
     return plan
 
 
-# The cells of a plan: one run for each policy and each combination of the axes' values.
-
 CELLS = "cells"
 """Folder of a sweep, below which every cell has its own."""
 NAME_CHARACTERS = 100
@@ -221,6 +219,8 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
+    """One run of a plan: a policy in a place."""
+
     policy: int
     """The policy's number in the plan."""
     label: str
@@ -234,8 +234,8 @@ class Cell:
         first = self.specs[0]
         whole = [first.policy, first.policy_arguments, first.policy_environment, first.protocol.sha256, self.label]
         digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:DIGEST_CHARACTERS]
-        told = [re.sub(r"[^A-Za-z0-9.-]+", "-", text) for text in (self.label, *self.place.values.values())]
-        return f"{'_'.join(told).strip('-.')[:NAME_CHARACTERS]}_{digest}"
+        texts = [re.sub(r"[^A-Za-z0-9.-]+", "-", text) for text in (self.label, *self.place.values.values())]
+        return f"{'_'.join(texts).strip('-.')[:NAME_CHARACTERS]}_{digest}"
 
 
 def places_of(plan: Plan, *, named: str) -> list[Place]:
@@ -249,19 +249,25 @@ def places_of(plan: Plan, *, named: str) -> list[Place]:
     axes = [name for name in plan.axes if name not in ("protocol", "level")]
     places: list[Place] = []
     for shown, whole in _bases(plan, named):
-        rules = _changed(whole, plan.set, place=f"plan {named}: set")
+        with _at(f"plan {named}: set"):
+            rules = overridden(whole, plan.set)
         for axis in axes:
-            for value in plan.axes[axis]:
-                _checked(_along(rules, axis, value, place=f"plan {named}: axes.{axis}"), place=f"{named}: axes.{axis}")
-        tasks, seeds = _trials(plan, rules, named)
+            with _at(f"plan {named}: axes.{axis}"):
+                for value in plan.axes[axis]:
+                    along = _along(rules, axis, value)
+                    check_protocol(along)
+                    check_rows(along)
+        with _at(f"plan {named}"):
+            tasks, seeds = parse_tasks(plan.tasks, protocol=rules), parse_seeds(plan.seeds, protocol=rules)
         for values in product(*(plan.axes[axis] for axis in axes)):
             chosen = dict(zip(axes, values, strict=True))
+            texts = {axis: _text(value) for axis, value in chosen.items()}
             made = rules
-            # The tissue first: its rows have frictions of their own.
-            for axis, value in sorted(chosen.items(), key=lambda pair: pair[0] != "tissue"):
-                made = _along(made, axis, value, place=f"plan {named}: {_told(chosen)}")
-            texts = shown | {axis: _text(value) for axis, value in chosen.items()}
-            places.append(Place(values=texts, protocol=made, tasks=tasks, seeds=seeds))
+            with _at(f"plan {named}: {', '.join(f'{axis} = {text}' for axis, text in texts.items())}"):
+                # The tissue first: its rows have frictions of their own.
+                for axis, value in sorted(chosen.items(), key=lambda pair: pair[0] != "tissue"):
+                    made = _along(made, axis, value)
+            places.append(Place(values=shown | texts, protocol=made, tasks=tuple(tasks), seeds=tuple(seeds)))
     return places
 
 
@@ -269,7 +275,8 @@ def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
     """Return what the other axes are varied on, with the value of its own axis where it has one."""
     if plan.factors is not None:
         place = f"plan {named}: factors"
-        low, high = (_loaded(name, place) for name in (plan.factors.low, plan.factors.high))
+        with _at(place):
+            low, high = (_loaded(name) for name in (plan.factors.low, plan.factors.high))
         groups = {name: [str(path) for path in paths] for name, paths in plan.factors.groups.items()}
         found = factor_protocols(low, high, groups, place=place)
         return [({AXIS: value}, protocol) for value, protocol in found.items()]
@@ -278,23 +285,20 @@ def _bases(plan: Plan, named: str) -> list[tuple[dict[str, str], Protocol]]:
         shown = {"protocol": name} if "protocol" in plan.axes else {}
         if level is not None:
             shown["level"] = level
-        place = f"plan {named}: axes.{'protocol' if level is None else 'level'}"
-        found.append((shown, _loaded(name, place, level=level)))
+        with _at(f"plan {named}: axes.{'protocol' if level is None else 'level'}"):
+            found.append((shown, _loaded(name, level=level)))
     return found
 
 
-def _loaded(name: str, place: str, *, level: str | None = None) -> Protocol:
+def _loaded(name: str, *, level: str | None = None) -> Protocol:
     """Return a protocol as titles name it: its id or file, and its level after a space where it has levels."""
     whole, _, titled = name.partition(" ") if not name.endswith(".toml") else (name, "", "")
     wanted = level or titled or None
-    try:
-        levels = ", ".join(filter(None, load_levels(whole)))
-        if bool(levels) != bool(wanted):
-            told = f"has the levels {levels}" if levels else f"has no levels, and so no {wanted}"
-            raise ConfigError(f"{whole} {told}; {NAME_LEVELS}")
-        return check_frozen(whole, load_protocol(whole, level=wanted), unfrozen=False)
-    except ConfigError as error:
-        raise ConfigError(f"{place}: {error}") from None
+    levels = ", ".join(filter(None, load_levels(whole)))
+    if bool(levels) != bool(wanted):
+        known = f"has the levels {levels}" if levels else f"has no levels, and so no {wanted}"
+        raise ConfigError(f"{whole} {known}; {NAME_LEVELS}")
+    return check_frozen(whole, load_protocol(whole, level=wanted), unfrozen=False)
 
 
 def cells_of(
@@ -313,24 +317,13 @@ def cells_of(
     labels = [label for label, *_ in policies]
     if twice := next((label for label in labels if labels.count(label) > 1), None):
         raise ConfigError(f"{twice!r} is there twice; give each a label of its own")
-    return [
-        Cell(
-            policy=number,
-            label=label,
-            place=place,
-            specs=tuple(
-                with_salt(
-                    plan_trials(
-                        protocol=place.protocol, policy=text, tasks=place.tasks, seeds=place.seeds,
-                        arguments=arguments, environment=environment,
-                    ),
-                    salt,
-                )
-            ),
-        )
-        for place in places
-        for number, (label, text, arguments, environment) in enumerate(policies)
-    ]  # fmt: skip
+    cells: list[Cell] = []
+    for place in places:
+        planned = {"protocol": place.protocol, "tasks": place.tasks, "seeds": place.seeds}
+        for number, (label, text, arguments, environment) in enumerate(policies):
+            specs = plan_trials(policy=text, arguments=arguments, environment=environment, **planned)
+            cells.append(Cell(policy=number, label=label, place=place, specs=tuple(with_salt(specs, salt))))
+    return cells
 
 
 def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
@@ -348,54 +341,26 @@ def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
     ]
 
 
-def _along(protocol: Protocol, axis: str, value: Value, *, place: str) -> Protocol:
+def _along(protocol: Protocol, axis: str, value: Value) -> Protocol:
     """Return the protocol with one value of an axis."""
     if axis == "friction":
         if isinstance(value, str) and value not in SKIN_STATES:
-            raise ConfigError(f"{place}: expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")
+            raise ConfigError(f"expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")
         coefficient = SKIN_STATES[value].coefficient if isinstance(value, str) else value
         changes: dict[str, Value] = {f"person.tissue.{name}.friction": coefficient for name in protocol.soft_regions}
     elif axis == "latency_ms":
         if isinstance(value, str):
-            raise ConfigError(f"{place}: expected a number of milliseconds, got {value!r}")
+            raise ConfigError(f"expected a number of milliseconds, got {value!r}")
         changes = {AXES[axis]: value / 1000}
     elif axis in AXES or "." in axis:
         changes = {AXES.get(axis, axis): value}
     else:
         valid = ["protocol", "level", *AXES]
         raise ConfigError(
-            f"{place}: no such axis{did_you_mean(axis, valid)}; valid: {', '.join(valid)}, and any field of the "
+            f"no such axis{did_you_mean(axis, valid)}; valid: {', '.join(valid)}, and any field of the "
             'protocol by its dotted name, such as "gates.touch.duration_s"'
         )
-    return _changed(protocol, changes, place=place)
-
-
-def _changed(protocol: Protocol, changes: Mapping[str, Value], *, place: str) -> Protocol:
-    try:
-        return overridden(protocol, changes)
-    except ConfigError as error:
-        raise ConfigError(f"{place}: {error}") from None
-
-
-def _checked(protocol: Protocol, *, place: str) -> None:
-    try:
-        check_protocol(protocol)
-        check_rows(protocol)
-    except ConfigError as error:
-        raise ConfigError(f"plan {place}: {error}") from None
-
-
-def _trials(plan: Plan, protocol: Protocol, named: str) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    parsers = (partial(parse_tasks, plan.tasks, protocol=protocol), partial(parse_seeds, plan.seeds, protocol=protocol))
-    try:
-        tasks, seeds = (parse() for parse in parsers)
-    except ConfigError as error:
-        raise ConfigError(f"plan {named}: {error}") from None
-    return tuple(map(str, tasks)), tuple(map(int, seeds))
-
-
-def _told(chosen: Mapping[str, Value]) -> str:
-    return ", ".join(f"{axis} = {_text(value)}" for axis, value in chosen.items())
+    return overridden(protocol, changes)
 
 
 def _text(value: Value) -> str:

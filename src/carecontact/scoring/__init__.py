@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
 # Imported when they are used: actions need modules of this package, and with them every process of a trial.
 _OFFERED = {
-    "METRICS": "metrics.metric", "Metric": "metrics.metric", "metric": "metrics.metric",
-    "Anatomy": "result", "Attribution": "result", "FailureMode": "result", "TrialScore": "result",
-    "score_recording": "score",
-}  # fmt: skip
+    "metrics.metric": ("METRICS", "Metric", "metric"),
+    "result": ("Anatomy", "Attribution", "FailureMode", "TrialScore"),
+    "score": ("score_recording",),
+}
 
 __all__ = [
     "METRICS",
@@ -28,6 +28,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _OFFERED:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_OFFERED[name]}"), name)
+    for module, names in _OFFERED.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -23,8 +23,6 @@ from carecontact.scoring.contact import Contact, faint_press, runs
 from carecontact.scoring.result import Attribution, FailureMode
 from carecontact.scoring.verdict import farthest_beyond
 
-# Whether a policy's views showed the named region, according to the perception errors in the recording.
-
 LOCATED = frozenset(("depth", "points", "masks", "landmarks"))
 """Modalities from which a place is computed; with fewer the key points or the mask must do."""
 PERSON_IOU = 0.5
@@ -44,11 +42,8 @@ class Sight:
 
 
 def sight(contact: Contact, near_m: float) -> Sight:
-    """``near_m``: horizontal error up to which a computed place counts as the region.
-
-    No view counts where the region's row names no joints by which it could be found. Raises RecordingError for
-    malformed ``perception/*``.
-    """
+    """Count the views; none counts where the region's row names no joints by which it could be found. ``near_m``:
+    horizontal error up to which a computed place counts as the region."""
     rows, region = perception_errors(contact.recording), contact.task.region
     names = REGIONS[region].sight_joints
     if rows is None or not len(rows.camera) or not names:
@@ -76,11 +71,6 @@ def modalities(contact: Contact) -> list[str]:
     return [m for m in cast("list[Any]", named) if isinstance(m, str)] if isinstance(named, list) else []
 
 
-# Why a trial failed: one cause, and the evidence for it.
-#
-# Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen. Aimed
-# above the region but too high, or at a place that the policy's own notes show it chose, is planning.
-
 NEAR_REGION_M = 0.030
 """Aimed farther beside the region than this is aimed elsewhere; the upper end of what localising a joint with these
 cameras leaves (p95 30 to 42 mm)."""
@@ -93,6 +83,9 @@ VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
     """Return the cause of a failed trial and one sentence of evidence.
+
+    Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen.
+    Aimed above the region but too high, or at a place that the policy's own notes show it chose, is planning.
 
     Raises RecordingError for notes or perception errors that are malformed.
     """
@@ -109,17 +102,13 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
 def _of_contact(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
     path = commanded_path(contact)
     if path is None:
-        return _still(contact, sight(contact, NEAR_REGION_M))
+        seen, reason = sight(contact, NEAR_REGION_M), noted_reason(contact)
+        noted = f' The policy noted: "{reason}".' if reason else ""
+        cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
+        return cause, f"{NO_MOTION}; {_views(contact, seen)}.{noted}"
     if path.closest_m > NEAR_REGION_M and path.beside_m > NEAR_REGION_M:
         return _aimed_elsewhere(contact, path, sight(contact, NEAR_REGION_M))
     return _aimed_right(contact, gate, mode, path)
-
-
-def _still(contact: Contact, seen: Sight) -> tuple[Attribution, str]:
-    reason = noted_reason(contact)
-    said = f' The policy noted: "{reason}".' if reason else ""
-    cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
-    return cause, f"{NO_MOTION}; {_views(contact, seen)}.{said}"
 
 
 def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tuple[Attribution, str]:
@@ -133,8 +122,8 @@ def _aimed_elsewhere(contact: Contact, path: CommandedPath, seen: Sight) -> tupl
         chosen = f"the target that the policy noted{name} lay {place}{other}"
         return "planning", f"{where}: {chosen}; {_views(contact, seen)}."
     if could_be_found and (subtasks := noted_subtasks(contact)):
-        said = ", ".join(f'"{text}"' for text in subtasks[:MOST_SUBTASKS])
-        return "planning", f"{where}: the policy noted {said} and no target; {_views(contact, seen)}."
+        listed = ", ".join(f'"{text}"' for text in subtasks[:MOST_SUBTASKS])
+        return "planning", f"{where}: the policy noted {listed} and no target; {_views(contact, seen)}."
     return ("perception" if seen.visible else "planning"), f"{where}; {_views(contact, seen)}."
 
 
@@ -148,19 +137,29 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
         joint = ", yet the robot" if closest <= 0 else "; the robot"
         return ("execution" if closest <= 0 else "planning"), f"{where}{joint} {_touched(contact)}."
     if mode == "lost_contact":
-        lost = [float(contact.time_s[stop]) for stop in _losses(contact)]
+        on = contact.neighbourhood_on
+        lost = [float(contact.time_s[stop]) for _, stop in runs(on).tolist() if stop < len(on)]
         inside = sum(path.inside_at(t) for t in lost)
         cause: Attribution = "execution" if 2 * inside > len(lost) else "planning"
         if len(lost) == 1:
             side = "on or under" if inside else "above"
             return cause, f"Contact was lost once, while the commanded target lay {side} the surface of the {region}."
         return cause, (
-            f"Contact was lost {_times(len(lost))}; in {inside} of them, the commanded target lay on or under the "
+            f"Contact was lost {len(lost)} times; in {inside} of them, the commanded target lay on or under the "
             f"surface of the {region}."
         )
-    if mode == "insufficient_progress" and (asked := _requested(contact, path)):
-        return "execution", f"{where} and asked for {asked}, but {_shortfall(contact, gate, mode)}."
-    return "planning", f"{where}, but {_shortfall(contact, gate, mode)}."
+    gates, share = contact.protocol.gates, contact.region_share or 0.0
+    table = gates.of(contact.task.action)
+    if mode == "wrong_share":
+        lacking = f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
+    else:
+        lacking = ask(contact, "shortfall", contact, table, gate)
+    if mode == "insufficient_progress":
+        # What the targets under the surface asked for, if a tool that followed them would pass the gate.
+        asked = ask(contact, "requested", table, commanded_contact(path, contact.protocol.contact.reversal_m))
+        if asked:
+            return "execution", f"{where} and asked for {asked}, but {lacking}."
+    return "planning", f"{where}, but {lacking}."
 
 
 def _touched(contact: Contact) -> str:
@@ -175,16 +174,6 @@ def _by_part(contact: Contact) -> str:
     part = ("hand", "links")[int(pressed.argmax())]
     share = f"{contact.tool_share or 0.0:.0%} of the contact impulse"
     return f"The {_region(contact)} was touched by the {part}, not by the tool, which applied {share}."
-
-
-def _times(n: int) -> str:
-    return "once" if n == 1 else f"{n} times"
-
-
-def _requested(contact: Contact, path: CommandedPath) -> str | None:
-    """Return what the targets under the surface requested, if a tool that followed them would pass the gate."""
-    asked = commanded_contact(path, contact.protocol.contact.reversal_m)
-    return ask(contact, "requested", contact.protocol.gates.of(contact.task.action), asked)
 
 
 def _views(contact: Contact, seen: Sight) -> str:
@@ -204,19 +193,12 @@ def _region(contact: Contact) -> str:
     return contact.task.region.replace("_", " ")
 
 
-def _losses(contact: Contact) -> list[int]:
-    """Steps at which contact with the neighbourhood ended before the end of the trial."""
-    on = contact.neighbourhood_on
-    return [stop for _, stop in runs(on).tolist() if stop < len(on)]
-
-
 def _process_evidence(contact: Contact) -> str:
     header = contact.recording.header
     failure = header.failure
     what = f" ({failure.kind}): {' '.join(reason_of(failure).split()).rstrip('.')}" if failure else ""
-    if header.ended == "harness_error":
-        return f"The harness failed, not the policy{what}."
-    return f"The policy's process failed{what}."
+    who = "The harness failed, not the policy" if header.ended == "harness_error" else "The policy's process failed"
+    return f"{who}{what}."
 
 
 def _safety_evidence(contact: Contact) -> str:
@@ -242,11 +224,3 @@ def _joint_evidence(contact: Contact) -> str:
         f"The {joint.replace('_', ' ')} was {beyond_rad:.3f} rad beyond its range at {time_s:.3f} s; "
         f"the protocol allows {contact.protocol.gates.joint_beyond_rad:.3f} rad."
     )
-
-
-def _shortfall(contact: Contact, gate: Gate, mode: FailureMode) -> str:
-    gates = contact.protocol.gates
-    if mode == "wrong_share":
-        share = contact.region_share or 0.0
-        return f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
-    return ask(contact, "shortfall", contact, gates.of(contact.task.action), gate)

@@ -2,41 +2,29 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, cast
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
-from pydantic import model_validator
 
 from carecontact.errors import CarecontactError, ConfigError
-from carecontact.protocol.gates import BEHAVIOURS, Positive, Section
+from carecontact.protocol.gates import ACTIONS, Action, Section
+from carecontact.registry import Registry
 from carecontact.scoring.commanded import CommandedContact
 from carecontact.scoring.contact import F64, Contact, Mask, runs, steps
 from carecontact.scoring.progress import Episode
 from carecontact.scoring.result import TrialScore
 
-# What a trial achieved, in the quantities that the gates limit, and whether it meets its gate.
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measures:
-    """What was achieved, before any gate is applied."""
-
-    episodes: list[Episode]
-    wrist_m: float
-    """Largest displacement of the wrist while the neighbourhood (``Contact.neighbourhood``) is touched [m]."""
-    wrist_any_m: float
-    """Largest displacement of the wrist over the whole trial [m]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """What was achieved, including what depends on the gates: the longest hold and the best contact episode."""
+    """What a trial achieved, in the quantities that the gates limit."""
 
     held_steps: int
     """Longest stretch of physics steps that count toward a hold (``Behaviour.holding``)."""
@@ -44,7 +32,9 @@ class Attempt:
     """The episode that the score reports. For an action whose gate uses episodes, it decides whether the gate is
     met."""
     wrist_m: float
+    """Largest displacement of the wrist while the neighbourhood (``Contact.neighbourhood``) is touched [m]."""
     wrist_any_m: float
+    """Largest displacement of the wrist over the whole trial [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,15 +58,16 @@ class GatePart:
     reached: str
     met: bool
 
+    @classmethod
+    def least(cls, name: str, needed: str, reached: str, met: bool) -> GatePart:
+        return cls(name=name, needed=f"at least {needed}", reached=reached, met=met)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Gate:
+class Gate(Judgement):
     """The result of a trial under its gate."""
 
     success: bool
-    time_met: bool
-    progress_met: bool
-    band_met: bool
     longest_on_s: float
     """Longest stretch that counts toward a hold."""
     best: Episode | None
@@ -90,16 +81,10 @@ class Gate:
         )
 
 
-# A fault in what a package supplies, in one line that names it, its package and the trial.
-
-
 @contextmanager
 def blamed_on(what: str, trial_id: str) -> Generator[None]:
-    """Any error inside the block that is not carecontact's own becomes a ConfigError.
-
-    Args:
-        what: whose code the block calls, as ``Registry.title`` names it.
-    """
+    """Any error inside the block that is not carecontact's own becomes a ConfigError of one line. It names ``what``,
+    whose code the block calls (``Registry.title``), and the trial."""
     try:
         yield
     except CarecontactError:
@@ -113,13 +98,9 @@ def blamed_on(what: str, trial_id: str) -> Generator[None]:
 
 
 def shown(answer: object) -> str:
-    """Return an answer as a message shows it: the beginning of its repr, in one line."""
+    """Return the beginning of an answer's repr, in one line."""
     return " ".join(repr(answer).split())[:60]
 
-
-# What the scorer has to know about an action. A package adds an action as one object of a class of its own.
-#
-# The shipped actions are in ``carecontact.behaviours``, one file each.
 
 G = TypeVar("G", bound=Section)
 
@@ -142,20 +123,11 @@ class Sweep:
     """Factor from the field's unit to the shown one."""
 
 
-class ForceBand(Section):
-    """The range in which a gate requires the held force (``scoring.held_force``) to be."""
-
-    least_n: Positive
-    most_n: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.least_n >= self.most_n:
-            raise ValueError(f"least_n {self.least_n:g} has to be below most_n {self.most_n:g}")
-        return self
+in_mm = partial(Sweep, unit="mm", factor=1000.0)
+in_percent = partial(Sweep, unit="%", factor=100.0)
 
 
-class Behaviour(ABC, Generic[G]):
+class Behaviour(Action, Generic[G]):
     """One action: the schema of its gate, how a trial is judged by it, and the words for a trial that fails.
 
     ``gate`` as an argument is the protocol's table for this action. Methods are pure functions of their arguments.
@@ -192,6 +164,9 @@ class Behaviour(ABC, Generic[G]):
         """Return the Behaviour that scores the action under this ``gates.set``."""
         return self.sets.get(gates, self)
 
+    def gate_in(self, gates: str) -> type[Section]:
+        return self.under(gates).gate
+
     @abstractmethod
     def judge(self, contact: Contact, gate: G, attempt: Attempt) -> Judgement: ...
 
@@ -209,11 +184,8 @@ class Behaviour(ABC, Generic[G]):
         return False
 
     def requested(self, gate: G, asked: CommandedContact) -> str | None:
-        """Return what the policy's commands requested, if a tool that followed them would have passed; None if it would
-        not.
-
-        A trial that falls short of progress is then blamed on execution, otherwise on planning.
-        """
+        """Return what the policy's commands requested, if a tool that followed them would have passed, else None. A
+        trial that falls short of progress is then blamed on execution, otherwise on planning."""
         return None
 
     @abstractmethod
@@ -231,22 +203,31 @@ class Behaviour(ABC, Generic[G]):
         return f"touched for {score.longest_on_s:.2f} s"
 
 
-def behaviour_of(action: str, gates: str) -> Behaviour[Any]:
-    """Return the Behaviour that scores an action under a set of gates.
+class Behaviours(Registry["Behaviour[Any]"]):
+    """An action that a process registers here can be named in its protocols too."""
 
-    Raises UnknownNameError for an action that nothing registers, ConfigError for a row that is not a Behaviour.
-    """
-    row: object = BEHAVIOURS[action]
-    if not isinstance(row, Behaviour):
-        raise ConfigError(f"action {action!r} is registered as {type(row).__name__}; expected a Behaviour object")
-    return cast("Behaviour[Any]", row).under(gates)
+    def register(self, name: str, row: Behaviour[Any], *, origin: object = None) -> Behaviour[Any]:
+        super().register(name, row, origin=origin)
+        if name not in ACTIONS:
+            ACTIONS.register(name, row)
+        return row
+
+
+BEHAVIOURS = Behaviours(
+    "action", row=Behaviour, expected="a Behaviour object", plural="behaviours", scan="carecontact.scoring.actions"
+)
+"""Action -> its behaviour. Other packages add rows through the entry-point group ``carecontact.behaviours``."""
+
+
+def behaviour_of(action: str, gates: str) -> Behaviour[Any]:
+    """Return the Behaviour that scores an action under a set of gates."""
+    return BEHAVIOURS[action].under(gates)
 
 
 def actions_that_move() -> frozenset[str]:
     """Return the registered actions that are meant to move a limb. An action that cannot be loaded is left out, because
     no trial of it can be scored."""
-    usable = BEHAVIOURS.usable()
-    return frozenset(action for action, row in usable.items() if isinstance(row, Behaviour) and row.moves_the_person)
+    return frozenset(action for action, row in BEHAVIOURS.usable().items() if row.moves_the_person)
 
 
 def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
@@ -285,9 +266,6 @@ def middle_force(force: F64) -> str:
     return f", median {np.median(force):.1f} N" if len(force) else ""
 
 
-# Calls a method of an action's Behaviour on a trial. If the method fails or returns a wrong type, the error names the
-# action and the trial.
-
 ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
     "holding": ((np.ndarray,), "an array of booleans, one for each physics step"),
     "judge": ((Judgement,), "a Judgement"),
@@ -301,13 +279,9 @@ ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
 
 
 def ask(contact: Contact, method: str, *arguments: object, action: str | None = None) -> Any:
-    """Return what a method of a behaviour answers; ANSWERS says of which class that is.
+    """Return what a method of the Behaviour of a trial's action, or of another ``action``, answers.
 
-    Args:
-        contact: of the trial that is judged.
-        action: whose behaviour; default: that of the trial's task.
-
-    Raises ConfigError naming the action, its package and the trial if the method raises or answers otherwise.
+    Raises ConfigError naming the action, its package and the trial if the method raises or returns a wrong type.
     """
     action = action or contact.task.action
     trial_id = contact.recording.header.spec.trial_id

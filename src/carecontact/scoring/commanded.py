@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.recording import Recording
 from carecontact.recording.notes import Note, read_notes
 from carecontact.scoring.contact import F64, Contact, runs
-from carecontact.scoring.progress import count_reversals, distance_to_shadow, distance_to_surface, points_in_region
-
-# The commanded path of the tool through the policy's targets, relative to the named region as it lay at each time.
+from carecontact.scoring.progress import (
+    count_reversals,
+    distance_to_shadow,
+    distance_to_surface,
+    points_in_region,
+    region_pose,
+)
 
 PATH_STEP_M = 0.005
 MAX_LEG_POINTS = 2000
@@ -142,14 +145,7 @@ def in_world(contact: Contact, points_in_base: F64) -> F64:
     return points_in_base @ matrix_from_quat(base[3:]).T + base[:3]
 
 
-def region_pose(contact: Contact, region: str, step: npt.NDArray[np.intp]) -> tuple[F64, F64]:
-    """(N, 7) poses in the world of a region at physics steps (N,), and its size (3,) [m]."""
-    index = contact.recording.header.regions.index(region)
-    pose = contact.recording["scorer/region_pose_in_world"][step, index].astype(np.float64)
-    return pose, contact.recording["scorer/region_size_m"][index].astype(np.float64)
-
-
-# Reads the targets that a policy noted: their places, and the names that the policy gave them.
+# The targets that a policy noted: their places, and the names that the policy gave them.
 
 LONGEST_TEXT = 80
 
@@ -177,6 +173,8 @@ def nearest_noted_target(contact: Contact) -> NotedTarget | None:
         if len(contact.time_s) == 0 or not 0 <= index < len(times):
             continue
         step = min(int(np.searchsorted(contact.time_s, float(times[index]))), len(contact.time_s) - 1)
+        intent = _table(note.content.get("intent"))
+        name = short(note.content.get("subtask")) or short(intent.get("region"))
         for place in _places(note):
             point = in_world(contact, place[None])
             beside = {
@@ -184,15 +182,13 @@ def nearest_noted_target(contact: Contact) -> NotedTarget | None:
                 for region in contact.recording.header.regions
             }
             own = beside.pop(contact.task.region)
-            over = min(beside, key=lambda region: beside[region]) if beside and own > 0 else None
-            found.append(
-                NotedTarget(beside_m=own, over=over if over and beside[over] == 0.0 else None, name=_name(note))
-            )
+            over = next((region for region in beside if own > 0 and beside[region] == 0.0), None)
+            found.append(NotedTarget(beside_m=own, over=over, name=name))
     return min(found, key=lambda target: target.beside_m, default=None)
 
 
 def noted_subtasks(contact: Contact) -> list[str]:
-    """Return what a policy that plans in words says it set out to do (``subtasks``); empty where no note says."""
+    """Return the subtasks that a policy noted which plans in words; empty where no note has any."""
     for note in read_notes(contact.recording):
         listed = note.content.get("subtasks")
         if isinstance(listed, list):
@@ -202,11 +198,9 @@ def noted_subtasks(contact: Contact) -> list[str]:
 
 def noted_reason(contact: Contact) -> str | None:
     """Return the reason that a policy noted for ending the trial."""
-    for note in reversed(read_notes(contact.recording)):
-        for key in ("ended_because", "ended_without_touching"):
-            if (text := short(note.content.get(key))) is not None:
-                return text
-    return None
+    contents = [note.content for note in reversed(read_notes(contact.recording))]
+    keys = ("ended_because", "ended_without_touching")
+    return next((text for content in contents for key in keys if (text := short(content.get(key))) is not None), None)
 
 
 def short(text: object) -> str | None:
@@ -217,25 +211,18 @@ def short(text: object) -> str | None:
     return line if len(line) <= LONGEST_TEXT else f"{line[: LONGEST_TEXT - 3]}..."
 
 
+def _table(value: object) -> dict[str, Any]:
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else {}
+
+
 def _places(note: Note) -> Iterator[F64]:
-    content = note.content
-    yield from _points([content.get("target_m")])
-    options, chosen = content.get("options"), content.get("chosen")
+    """The places of a note that are three numbers of a plausible size."""
+    places: list[Any] = [note.content.get("target_m")]
+    options, chosen = note.content.get("options"), note.content.get("chosen")
     if isinstance(options, list) and isinstance(chosen, int) and 0 <= chosen < len(cast("list[Any]", options)):
-        option = cast("list[Any]", options)[chosen]
-        if isinstance(option, dict):
-            yield from _points(cast("dict[str, Any]", option).get("corners_m"))
-
-
-def _points(values: object) -> Iterator[F64]:
-    for value in cast("list[Any]", values) if isinstance(values, list) else []:
-        if isinstance(value, list) and len(cast("list[Any]", value)) == 3:
-            numbers = cast("list[Any]", value)
-            if all(isinstance(v, (int, float)) and abs(v) < 1e3 for v in numbers):
+        corners: object = _table(cast("list[Any]", options)[chosen]).get("corners_m")
+        places += cast("list[Any]", corners) if isinstance(corners, list) else []
+    for place in places:
+        if isinstance(place, list) and len(numbers := cast("list[Any]", place)) == 3:
+            if all(isinstance(v, int | float) and abs(v) < 1e3 for v in numbers):
                 yield np.array(numbers, np.float64)
-
-
-def _name(note: Note) -> str | None:
-    intent = note.content.get("intent")
-    understood = cast("dict[str, Any]", intent).get("region") if isinstance(intent, dict) else None
-    return short(note.content.get("subtask")) or short(understood)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import ceil
@@ -15,49 +15,37 @@ from carecontact.protocol.gates import Task
 from carecontact.protocol.protocol import Protocol
 from carecontact.recording import Recording
 
-# The Butterworth filters that the definitions name.
-
 F64 = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+# The Butterworth filters that the definitions name: every number that scipy.signal gives, bit for bit. A second of the
+# shortest command goes into importing that package.
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Section:
-    """y_n = b (x_n + 2 x_n-1 + x_n-2) - a1 y_n-1 - a2 y_n-2: every number that scipy.signal gives, bit for bit. A
-    second of the shortest command goes into importing that package."""
+def _butterworth(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float]:
+    """Return b, a1 and a2 of y_n = b (x_n + 2 x_n-1 + x_n-2) - a1 y_n-1 - a2 y_n-2: second order, by the bilinear
+    transform with the cutoff prewarped."""
+    warped = float(4 * np.tan(np.pi * (2 * cutoff_hz / sample_hz) / 2))
+    poles = warped * -np.exp(1j * np.pi * np.array([-1.0, 1.0]) / 4)
+    gain = warped**2 * (1 / np.prod(4 - poles)).real
+    moved, mirrored = (4 + poles) / (4 - poles)
+    pole = (moved + mirrored.conj()) / 2
+    _, a1, a2 = np.poly([pole, pole.conj()]).tolist()
+    return float(gain), a1, a2
 
-    b: float
-    a1: float
-    a2: float
 
-    @classmethod
-    def butterworth(cls, cutoff_hz: float, sample_hz: float) -> _Section:
-        """Second order, by the bilinear transform with the cutoff prewarped."""
-        warped = float(4 * np.tan(np.pi * (2 * cutoff_hz / sample_hz) / 2))
-        poles = warped * -np.exp(1j * np.pi * np.array([-1.0, 1.0]) / 4)
-        gain = warped**2 * (1 / np.prod(4 - poles)).real
-        moved, mirrored = (4 + poles) / (4 - poles)
-        pole = (moved + mirrored.conj()) / 2
-        _, a1, a2 = np.poly([pole, pole.conj()]).tolist()
-        return cls(b=float(gain), a1=a1, a2=a2)
-
-    @property
-    def steady(self) -> tuple[float, float]:
-        """The memory after a long signal of 1."""
-        b, a1, a2 = self.b, self.a1, self.a2
-        near, far = np.linalg.solve([[1 + a1, -1.0], [a2, 1.0]], [2 * b - a1 * b, b - a2 * b]).tolist()
-        return near, far
-
-    def run(self, signal: list[float], share: float = 0.0) -> list[float]:
-        """Filter a signal that was ``share`` for long before it begins; 0 is rest."""
-        b, a1, a2, middle = self.b, self.a1, self.a2, 2 * self.b
-        near, far = (z * share for z in self.steady)
-        out: list[float] = []
-        for x in signal:
-            y = b * x + near
-            near = middle * x - a1 * y + far
-            far = b * x - a2 * y
-            out.append(y)
-        return out
+def _filtered(section: tuple[float, float, float], signal: list[float], share: float = 0.0) -> list[float]:
+    """Filter a signal that was ``share`` for long before it begins; 0 is rest."""
+    b, a1, a2 = section
+    steady = np.linalg.solve([[1 + a1, -1.0], [a2, 1.0]], [2 * b - a1 * b, b - a2 * b]).tolist()
+    near, far = (z * share for z in steady)  # the memory after a long signal of 1, times the share
+    middle, out = 2 * b, list[float]()
+    for x in signal:
+        y = b * x + near
+        near = middle * x - a1 * y + far
+        far = b * x - a2 * y
+        out.append(y)
+    return out
 
 
 def rate_faults(protocol: Protocol) -> Iterator[str]:
@@ -81,30 +69,26 @@ def low_pass(signal: F64, *, cutoff_hz: float, sample_hz: float, zero_phase: boo
         return np.array(signal, np.float64)
     if not 0 < cutoff_hz < sample_hz / 2:
         raise ValueError(f"a cutoff of {cutoff_hz:g} Hz is not below half of the {sample_hz:g} Hz that it filters")
-    section = _Section.butterworth(cutoff_hz, sample_hz)
+    section = _butterworth(cutoff_hz, sample_hz)
     columns = np.asarray(signal, np.float64).reshape(len(signal), -1).T.tolist()
-    filtered = [(_both_ways(section, column) if zero_phase else section.run(column)) for column in columns]
+    filtered = [(_both_ways if zero_phase else _filtered)(section, column) for column in columns]
     return np.array(filtered, np.float64).T.reshape(np.shape(signal))
 
 
-def _both_ways(section: _Section, signal: list[float]) -> list[float]:
+def _both_ways(section: tuple[float, float, float], signal: list[float]) -> list[float]:
     """Run forward and backward over the signal and its point reflections at both ends."""
     pad = min(len(signal) - 1, 9)
     before = [2 * signal[0] - x for x in signal[pad:0:-1]]
     after = [2 * signal[-1] - x for x in signal[-2 : -pad - 2 : -1]]
     extended = [*before, *signal, *after]
-    forward = section.run(extended, extended[0])[::-1]
-    return section.run(forward, forward[0])[::-1][pad : pad + len(signal)]
-
-
-# Definition ``contact-v1``: when a segment is touched, and which part of a trial the force scores use.
-
-Mask = npt.NDArray[np.bool_]
+    forward = _filtered(section, extended, extended[0])[::-1]
+    return _filtered(section, forward, forward[0])[::-1][pad : pad + len(signal)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """Which segments were touched and when; every metric starts from here. T physics steps, S segments.
+    """Which segments were touched and when, by the definition ``contact-v1``; every metric starts from here. T physics
+    steps, S segments.
 
     A segment is *on* at a step if it counts as touched there: its filtered normal force has reached the definition's
     ``on_n`` and has not fallen below ``off_n`` since. Its *on-samples* are these steps.
@@ -248,8 +232,8 @@ def find_contact(recording: Recording) -> Contact:
 
 
 def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
-    """Return the same trial with other thresholds for what is on [N]; everything that follows from them is found
-    anew."""
+    """Return the same trial with other thresholds for what is on [N]; everything that follows from them is
+    found again."""
     definition = contact.protocol.contact
     on = np.zeros((len(contact.time_s), len(contact.segments)), np.bool_)
     touched = (contact.filtered_normal >= on_n).any(axis=0)
@@ -308,19 +292,21 @@ def steps(seconds: float, dt_s: float) -> int:
     return ceil(seconds / dt_s - 1e-6)
 
 
+def joined(spans: npt.NDArray[np.intp], close: Callable[[int, int], bool]) -> list[tuple[int, int]]:
+    """(N, 2) [start, stop) in rising order -> spans, of which two are one if the start of the later is ``close`` to the
+    stop of the earlier."""
+    found: list[tuple[int, int]] = []
+    for start, stop in spans.tolist():
+        if found and close(found[-1][1], start):
+            start, _ = found.pop()
+        found.append((start, stop))
+    return found
+
+
 def episodes(contact: Contact) -> list[tuple[int, int]]:
     """[start, stop) steps: the neighbourhood's on-samples joined across gaps of at most ``episode_gap_s``."""
     longest_gap = int(contact.protocol.contact.episode_gap_s / contact.dt_s + 1e-6)
-    joined: list[tuple[int, int]] = []
-    for start, stop in runs(contact.neighbourhood_on).tolist():
-        if joined and start - joined[-1][1] <= longest_gap:
-            joined[-1] = (joined[-1][0], stop)
-        else:
-            joined.append((start, stop))
-    return joined
-
-
-# What a robot did that pressed the person too lightly, or too briefly, for any contact to count.
+    return joined(runs(contact.neighbourhood_on), lambda stop, start: start - stop <= longest_gap)
 
 
 def faint_press(contact: Contact) -> str | None:
@@ -358,13 +344,10 @@ def _time(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds >= 0.95 else f"{seconds:.2g} s"
 
 
-# The force that is compared with a gate's band of force: an average over a short time, so that a ripple does not end a
-# hold.
-
 HELD_S = 0.1
-"""[s] Length of that moment; assumed, five control periods. Single steps of a contact's chatter do not leave a band,
-and a mean never lies outside of what it is taken over, as a filter's ringing does. The safety gate judges every step.
-"""
+"""[s] The force that is compared with a band of force is averaged over this time; assumed, five control periods. Single
+steps of a contact's chatter do not leave a band, and a mean never lies outside of what it is taken over, as a filter's
+ringing does. The safety gate judges every step."""
 DIGITS = 6
 """Forces are rounded to 1e-6 N, so that a constant force at the border of a band is inside it."""
 

@@ -7,11 +7,10 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from carecontact.errors import ConfigError
-from carecontact.protocol.gates import BEHAVIOURS
 from carecontact.protocol.protocol import Protocol
-from carecontact.scoring.behaviour import Measures, Sweep, behaviour_of
+from carecontact.scoring.behaviour import BEHAVIOURS, Sweep, behaviour_of
 from carecontact.scoring.contact import Contact, with_floor
-from carecontact.scoring.metrics.success import judge, measure
+from carecontact.scoring.metrics.success import Measures, judge, measure
 from carecontact.scoring.verdict import Verdict, reach_verdict
 
 FLOOR = Sweep(name="floor_n", field="on_n", values=(0.25, 0.5, 1.0, 2.0), title="Contact floor", unit="N")
@@ -29,18 +28,18 @@ def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
 
 
 def sweeps_of(actions: Iterable[str], gates: str) -> dict[str, tuple[str | None, Sweep]]:
-    """Return what ``protocol_sweeps`` returns, for these actions under a set of gates. Raises ConfigError where
-    two sweeps have the same name."""
+    """Return what ``protocol_sweeps`` returns, for these actions under a set of gates, and raise as it does."""
     found: dict[str, tuple[str | None, Sweep]] = {FLOOR.name: (None, FLOOR)}
-    for action, sweep in [(name, sweep) for name in actions for sweep in behaviour_of(name, gates).sweeps]:
-        if sweep.name in found:
-            other = found[sweep.name][0]
-            owner = "the contact floor" if other is None else BEHAVIOURS.title(other)
-            raise ConfigError(
-                f"{owner} and {BEHAVIOURS.title(action)} both have a sweep named {sweep.name!r}; "
-                "begin the name of a sweep with its action"
-            )
-        found[sweep.name] = action, sweep
+    for action in actions:
+        for sweep in behaviour_of(action, gates).sweeps:
+            if sweep.name in found:
+                other = found[sweep.name][0]
+                owner = "the contact floor" if other is None else BEHAVIOURS.title(other)
+                raise ConfigError(
+                    f"{owner} and {BEHAVIOURS.title(action)} both have a sweep named {sweep.name!r}; "
+                    "begin the name of a sweep with its action"
+                )
+            found[sweep.name] = action, sweep
     return found
 
 
@@ -55,12 +54,7 @@ def level(verdict: Verdict) -> int:
 
 
 def sweep_gates(contact: Contact, measures: Measures, verdict: Verdict) -> dict[str, dict[str, int]]:
-    """Sweep -> value of the gate -> ``level`` there; the other gates stay at the protocol's.
-
-    Args:
-        measures: of the contact as the protocol has it.
-        verdict: at the protocol's own gates.
-    """
+    """Sweep -> value of the gate -> ``level`` there; the other gates, measures and verdict are the protocol's own."""
     own = level(verdict)
     out: dict[str, dict[str, int]] = {}
     for name, (action, sweep) in protocol_sweeps(contact.protocol).items():

@@ -22,7 +22,7 @@ class LimitPack:
     title: str
     source: str
     status: Literal["as published", "to be checked"]
-    """``to be checked``: entered from secondary sources; whoever shows a number of it says so."""
+    """``to be checked``: entered from secondary sources; every page that shows a number of it states this."""
     unit: Literal["N", "Pa"] = "N"
     limits: Mapping[str, float]
     """Segment without its side -> limit [unit]."""
@@ -41,8 +41,7 @@ def footnote(titles: Iterable[str]) -> str:
 
 LIMIT_PACKS: Registry[LimitPack] = Registry("limit pack", row=LimitPack, plural="limit_packs")
 
-LIMIT_PACKS.register(
-    "behrens-2021-table-8",
+for _pack in (
     LimitPack(
         id="behrens-2021-table-8",
         title="Pain onset by pinching, Behrens et al. 2021, Table 8",
@@ -50,10 +49,6 @@ LIMIT_PACKS.register(
         status="as published",
         limits={"forearm": 100.0, "upper_arm": 100.0, "abdomen": 60.0},
     ),
-)
-
-LIMIT_PACKS.register(
-    "iso-ts-15066-2016",
     LimitPack(
         id="iso-ts-15066-2016",
         title=f"Quasi-static force, ISO/TS 15066:2016{UNCHECKED}",
@@ -74,10 +69,6 @@ LIMIT_PACKS.register(
             "shank": 130.0,
         },
     ),
-)
-
-LIMIT_PACKS.register(
-    "iso-ts-15066-2016-pressure",
     LimitPack(
         id="iso-ts-15066-2016-pressure",
         title=f"Quasi-static pressure, ISO/TS 15066:2016{UNCHECKED}",
@@ -96,4 +87,5 @@ LIMIT_PACKS.register(
             "shank": 2.1e6,
         },
     ),
-)
+):
+    LIMIT_PACKS.register(_pack.id, _pack)

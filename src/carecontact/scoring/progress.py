@@ -109,17 +109,21 @@ def measure_episodes(contact: Contact) -> list[Episode]:
     return [_measure(contact, track, start, stop) for start, stop in found]
 
 
+def region_pose(contact: Contact, region: str, step: npt.NDArray[np.intp]) -> tuple[F64, F64]:
+    """(N, 7) poses in the world of a region at physics steps (N,), and its size (3,) [m]."""
+    index = contact.recording.header.regions.index(region)
+    pose = contact.recording["scorer/region_pose_in_world"][step, index].astype(np.float64)
+    return pose, contact.recording["scorer/region_size_m"][index].astype(np.float64)
+
+
 def surface_track(contact: Contact) -> Track:
     """Follow the TCP over the target region's surface, in the bone's frame, so that a moving arm is not a stroke."""
     recording, definition = contact.recording, contact.protocol.contact
     stride = max(1, round(1.0 / (definition.stroke_sample_hz * contact.dt_s)))
     step = np.arange(0, len(contact.time_s), stride)
-    region = recording.header.regions.index(contact.task.region)
-    tcp = recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64)
-    pose = recording["scorer/region_pose_in_world"][step, region].astype(np.float64)
-    point = points_in_region(tcp, pose)
-    radius = float(recording["scorer/region_size_m"][region, 2])
-    around = np.unwrap(np.arctan2(point[:, 1], point[:, 2])) * radius
+    pose, size = region_pose(contact, contact.task.region, step)
+    point = points_in_region(recording["scorer/pose_tcp_in_world"][step, :3].astype(np.float64), pose)
+    around = np.unwrap(np.arctan2(point[:, 1], point[:, 2])) * float(size[2])
     surface = low_pass(
         np.stack([point[:, 0], around], axis=1),
         cutoff_hz=definition.stroke_filter_hz,

@@ -58,7 +58,7 @@ class TrialScore(BaseModel):
     language_sha256: str | None = None
     """Hash over everything that language models were asked and answered in this trial; None: nothing was asked."""
     language_endpoint: str | None = None
-    """Hosts that live completions came from or were asked of, also when they are replayed; None: nobody."""
+    """Hosts that live completions came from or were asked of, also when they are replayed; None: no host."""
     language_served: str | None = None
     """Models that those hosts say they answered with."""
     language_sent: str | None = None

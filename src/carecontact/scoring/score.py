@@ -10,66 +10,54 @@ import numpy as np
 from carecontact.errors import ConfigError, RecordingError
 from carecontact.interface.geometry import Triangles, matrix_from_quat
 from carecontact.interface.robot import robot_of
-from carecontact.recording import Header, canonical_hash
+from carecontact.recording import canonical_hash
 from carecontact.recording.notes import language_use
 from carecontact.recording.provenance import provenance_of
 from carecontact.recording.schema import Recording
 from carecontact.scoring.attribution import attribute
 from carecontact.scoring.contact import Contact, any_column, find_contact
 from carecontact.scoring.gate_sweep import sweep_gates
-from carecontact.scoring.metrics.force import beyond_calibrated, deepest_indentation, peak_of_segments, total_impulse
-from carecontact.scoring.metrics.metric import METRICS, Metric, checked_metrics
+from carecontact.scoring.metrics.force import beyond_calibrated, deepest_indentation, peak_of_segments
+from carecontact.scoring.metrics.metric import METRICS, checked_metrics
 from carecontact.scoring.metrics.success import judge, measure
 from carecontact.scoring.result import DRAWN, TrialScore
 from carecontact.scoring.validity import check_streams
 from carecontact.scoring.verdict import reach_verdict
-
-# Whether the skin lay beyond the middle of the robot's tool when the force was largest.
-#
-# The compiled tissue drops skin that has sunk into a tool beyond the tool's middle. Such a tool is held by nothing
-# until it meets bone, and what is measured from then on says nothing of a person. The recording keeps the dented skin
-# of that one moment, so that a tool that went through and came back before is not found.
 
 BEHIND_M = 0.1
 """How far behind the tool's middle skin is looked for."""
 NEEDED = ("report/skin_in_world", "report/skin_faces", "report/peak_time_s")
 
 
-def passed_the_middle(recording: Recording) -> float | None:
-    """Return ``skin_in_tool`` of a recording where it is more than 1; None for any other."""
-    found = skin_in_tool(recording)
-    return found if found is not None and found > 1 else None
-
-
 def skin_in_tool(recording: Recording) -> float | None:
     """Return how far the skin lies inside the tool at the largest force, over half of the tool's thickness. Above 1, it
     lies beyond the tool's middle; below 0, outside.
 
+    The compiled tissue drops skin that has sunk into a tool beyond the tool's middle. Such a tool is held by nothing
+    until it meets bone, and what is measured from then on says nothing of a person. The recording keeps the dented skin
+    of that one moment, so that a tool that went through and came back before is not found.
+
     None if the recording does not have the dented skin, is of a robot that this release does not have, or if no skin of
     the region lies on the tool's axis.
     """
-    robot = robot_of(recording.header.embodiment)
-    if robot is None or any(name not in recording for name in NEEDED) or not len(recording["scorer/time_s"]):
+    robot, time = robot_of(recording.header.embodiment), recording["scorer/time_s"]
+    if robot is None or any(name not in recording for name in NEEDED) or not len(time):
         return None
-    tip, at = robot.tip, int(np.searchsorted(recording["scorer/time_s"], float(recording["report/peak_time_s"][0])))
-    pose = recording["scorer/pose_tcp_in_world"][min(at, len(recording["scorer/time_s"]) - 1)].astype(np.float64)
+    thickness_m, at = robot.tip.half_m[2], int(np.searchsorted(time, float(recording["report/peak_time_s"][0])))
+    pose = recording["scorer/pose_tcp_in_world"][min(at, len(time) - 1)].astype(np.float64)
     out = matrix_from_quat(pose[3:])[:, 2]
-    middle = pose[:3] - tip.half_m[2] * out
     skin = recording["report/skin_in_world"].astype(np.float64)
     surface = Triangles(skin[recording["report/skin_faces"]])
-    ahead = float(surface.distances(middle - BEHIND_M * out, out[None])[0]) - BEHIND_M
-    return None if np.isinf(ahead) else 1.0 - ahead / tip.half_m[2]
-
-
-# Recording in, score out: the one function that every number of a result comes from.
+    behind = pose[:3] - thickness_m * out - BEHIND_M * out
+    ahead = float(surface.distances(behind, out[None])[0]) - BEHIND_M
+    return None if np.isinf(ahead) else 1.0 - ahead / thickness_m
 
 
 def score_recording(recording: Recording) -> TrialScore:
     """Score one trial by the settings of the protocol in its header; no simulator, no clock, no other file.
 
-    Raises RecordingError naming the array if a scorer stream holds what it cannot hold, or if its samples are not one
-    physics step apart: a broken stream never becomes a number. Raises ConfigError naming a metric or an action, its
-    package and the trial where that is at fault.
+    Raises RecordingError naming the array if a scorer stream holds what it cannot hold: a broken stream never becomes a
+    number. Raises ConfigError naming a metric or an action, its package and the trial where that is at fault.
     """
     check_streams(recording)
     contact = find_contact(recording)
@@ -79,7 +67,13 @@ def score_recording(recording: Recording) -> TrialScore:
         **measured,
         **_contact(contact),
         **_outcome(contact),
-        metric_versions=_versions(contact),
+        # The definitions behind the fields.
+        metric_versions={
+            **{row.name: row.id for row in METRICS.values() if row.field is not None},
+            "contact": contact.protocol.contact.version,
+            "gates": contact.protocol.gates.set,
+            "limits": contact.protocol.limits.pack,
+        },
         additional=additional,
     )
     check_finite(score.trial_id, dict(score) | score.additional)
@@ -88,10 +82,7 @@ def score_recording(recording: Recording) -> TrialScore:
 
 def measure_all(contact: Contact) -> tuple[dict[str, Any], dict[str, float | None]]:
     """Return every registered metric of one trial: fields of ``TrialScore`` with their values, then id -> value of the
-    others.
-
-    Raises ConfigError as ``checked_metrics`` and ``Metric.compute`` do, and if two metrics fill the same field.
-    """
+    others."""
     filled: dict[str, Any] = {}
     additional: dict[str, float | None] = {}
     for row in checked_metrics():
@@ -118,23 +109,24 @@ def check_finite(place: str, values: dict[str, Any]) -> None:
 def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
     """Return which trial it is, where it comes from and how it ended."""
     header, protocol, spoken = contact.recording.header, contact.protocol, language_use(contact.recording)
+    spec, card, clipped = header.spec, header.card or {}, contact.recording.arrays.get("actions/clipped")
     return {
-        "trial_id": header.spec.trial_id,
+        "trial_id": spec.trial_id,
         "task_id": contact.task.id,
         "action": contact.task.action,
         "region": contact.task.region,
-        "seed": header.spec.seed,
-        "policy": header.spec.policy,
-        "policy_arguments": header.spec.policy_arguments,
+        "seed": spec.seed,
+        "policy": spec.policy,
+        "policy_arguments": spec.policy_arguments,
         "privileged": header.privileged,
-        "policy_name": _card_name(header),
-        "language_backend": str(header.card.get("language_backend", "none")) if header.card else "none",
+        "policy_name": str(card["name"]) if card and "://" in spec.policy else None,
+        "language_backend": str(card.get("language_backend", "none")),
         "language_sha256": spoken.sha256,
         "language_endpoint": spoken.endpoint,
         "language_served": spoken.served,
         "language_sent": spoken.sent,
         "protocol_id": protocol.name,
-        "protocol_sha256": header.spec.protocol.sha256,
+        "protocol_sha256": spec.protocol.sha256,
         "overrides": protocol.overrides,
         "recording_sha256": sha256,
         "world": _world(contact),
@@ -142,50 +134,39 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
         "ended": header.ended,
         "duration_s": float(contact.time_s[-1]) if len(contact.time_s) else 0.0,
         "failure_message": header.failure.message if header.failure else None,
-        "clipped_actions": _clipped_actions(contact),
+        "clipped_actions": 0 if clipped is None else int(clipped.sum()),
     }
-
-
-def _card_name(header: Header) -> str | None:
-    """Return the name on the card of a policy behind an address."""
-    return str(header.card["name"]) if header.card and "://" in header.spec.policy else None
-
-
-def _clipped_actions(contact: Contact) -> int:
-    clipped = contact.recording.arrays.get("actions/clipped")
-    return 0 if clipped is None else int(clipped.sum())
 
 
 def _world(contact: Contact) -> dict[str, str]:
     """Return what was put into the simulation. The controller is a part of it, since it decides how stiff the robot is.
     The action space is not: it is the method's language, and methods that speak different ones are compared."""
-    header = contact.recording.header
+    header, protocol = contact.recording.header, contact.recording.header.spec.protocol
     world = header.identity | {n: header.sha256[n] for n in ("body", "robot") if n in header.sha256}
-    if header.spec.protocol.variation.draws_models and "body" in world:
+    if protocol.variation.draws_models and "body" in world:
         world[f"{DRAWN}body"] = world.pop("body")
-    if "mujoco" in header.versions:
-        world["mujoco"] = header.versions["mujoco"]
-    if header.control is not None:
-        world["control"] = header.control
-    if header.spec.salt_sha256:
-        world["salt"] = header.spec.salt_sha256
-    if rejected := header.spec.protocol.person.rejected_tissue:
-        world["rejected_tissue"] = rejected
-    return world
+    added = {
+        "mujoco": header.versions.get("mujoco"),
+        "control": header.control,
+        "salt": header.spec.salt_sha256 or None,
+        "rejected_tissue": protocol.person.rejected_tissue or None,
+    }
+    return world | {name: value for name, value in added.items() if value is not None}
 
 
 def _contact(contact: Contact) -> dict[str, Any]:
     """Return what was touched, for how long and how hard, beside the metrics."""
     protocol, touched = contact.protocol, [contact.segments[i] for i in contact.touched]
+    skin = skin_in_tool(contact.recording)
     return {
         "valid_contact": contact.valid,
         "reported_segment": contact.segments[contact.reported] if contact.reported is not None else None,
         "region_share": contact.region_share,
         "contact_s": int(any_column(contact.on, contact.touched).sum()) * contact.dt_s,
         "indentation_m": deepest_indentation(contact),
-        "impulse_ns": total_impulse(contact),
+        "impulse_ns": float(contact.impulse_ns.sum()),
         "extrapolated_share": beyond_calibrated(contact),
-        "skin_in_tool": passed_the_middle(contact.recording),
+        "skin_in_tool": skin if skin is not None and skin > 1 else None,
         "peak_force_n": peak_of_segments(contact),
         "f_pain_n": {segment: protocol.f_pain(segment) for segment in touched},
         "fallback_limits": [segment for segment in touched if not protocol.has_own_limit(segment)],
@@ -209,15 +190,4 @@ def _outcome(contact: Contact) -> dict[str, Any]:
         "attribution": attribution,
         "evidence": evidence,
         "gate_sweep": sweep_gates(contact, measures, verdict),
-    }
-
-
-def _versions(contact: Contact) -> dict[str, str]:
-    """Return the definitions behind the fields of a score."""
-    with_field: list[Metric] = [row for row in METRICS.values() if row.field is not None]
-    return {
-        **{row.name: row.id for row in with_field},
-        "contact": contact.protocol.contact.version,
-        "gates": contact.protocol.gates.set,
-        "limits": contact.protocol.limits.pack,
     }

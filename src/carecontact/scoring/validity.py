@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
 from math import hypot, inf, pi
 
 import numpy as np
@@ -13,27 +15,27 @@ from carecontact.recording.schema import CUTS
 from carecontact.scoring.contact import F64, rate_faults
 from carecontact.scoring.metrics.success import broke_down
 
-# Checks whether the values of a stream are possible: finite, within bounds, unit quaternions, valid ranges.
-
 QUAT_TOLERANCE = 1e-3
 ANGLE_ROUNDING_RAD = 1e-6
 ROOM_M = 5.0
 """Largest distance of anything from the world's origin, the robot's base or a joint's centre; real scenes reach 1 m."""
+PLACE = (-ROOM_M, ROOM_M, "m")
+ANGLE = (-2 * pi, 2 * pi, "rad")
 BOUNDS: dict[str, tuple[float, float, str]] = {
     "scorer/normal_force": (0.0, inf, "N, a sum of magnitudes"),
-    "scorer/centroid_in_world": (-ROOM_M, ROOM_M, "m"),
-    "scorer/human_joint_position": (-2 * pi, 2 * pi, "rad"),
-    "scorer/human_joint_range": (-2 * pi, 2 * pi, "rad"),
-    "scorer/human_joint_settled": (-2 * pi, 2 * pi, "rad"),
-    "scorer/wrist_in_world": (-ROOM_M, ROOM_M, "m"),
-    "scorer/wrist_settled_in_world": (-ROOM_M, ROOM_M, "m"),
-    "scorer/pose_tcp_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/centroid_in_world": PLACE,
+    "scorer/human_joint_position": ANGLE,
+    "scorer/human_joint_range": ANGLE,
+    "scorer/human_joint_settled": ANGLE,
+    "scorer/wrist_in_world": PLACE,
+    "scorer/wrist_settled_in_world": PLACE,
+    "scorer/pose_tcp_in_world": PLACE,
     "scorer/tcp_speed": (0.0, inf, "m/s"),
     "scorer/tcp_rotation_speed": (0.0, inf, "rad/s"),
-    "scorer/region_pose_in_world": (-ROOM_M, ROOM_M, "m"),
+    "scorer/region_pose_in_world": PLACE,
     "scorer/region_size_m": (0.001, 1.0, "m"),
     "scorer/indentation_m": (0.0, inf, "m"),
-    "scorer/target_in_base": (-ROOM_M, ROOM_M, "m"),
+    "scorer/target_in_base": PLACE,
 }
 """Array -> lowest and highest value [unit]. What is refused, no policy can bring about: another sign, or a place
 outside the room."""
@@ -42,6 +44,35 @@ ACTIONS = (*TARGETS, "actions/time_s", "actions/stiffness", "actions/axis_stiffn
 CELLS = ("area_m2", "press_ns", "shear_ns", "slip_m3", "touch_m2s")
 ROUNDING = 1e-3
 """Share by which the area in contact of a cell may exceed the cell's own, since both are sums of 32-bit floats."""
+MOST_FRICTION, MOST_BRAKE = 2.0, 2.0
+"""The largest coefficient that a protocol may have, and the brake of a tool that lets skin in (``STEEPEST`` in
+tissue/c/entry.c), both over the normal force: with both a contact's force is sqrt(17) of its normal part."""
+ROUNDING_N = 0.01
+BESIDE = ("scorer/beside_force_in_world", "scorer/beside_normal_force")
+"""What other parts of the robot than its tip did."""
+CUT_ROUNDING = 1e-5
+TIME_TOLERANCE_S = 1e-6
+SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
+LATE_ACTION_S = 0.25
+"""An action may be this much later than the trial's end: recordings with one exist, and they keep their score."""
+
+
+def check_streams(recording: Recording) -> None:
+    """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
+
+    The checks do not find what is wrong by less than their generous bounds: 5 % on every force, a wrist shifted by
+    1 cm. A trial that the solver cut needs only finite values and clocks that agree. Whether an action may be executed
+    is decided in ``Episode.step``, and not once more here.
+    """
+    check_finite_streams(recording)
+    _raise_first(recording, _time_faults(recording))
+    header = recording.header
+    diverged = header.ended == "safety_truncation" and header.failure is not None and header.failure.kind == "solver"
+    # Diverging physics knows no bounds. Refused, such a trial would be lost; scored, it is a failed one.
+    if len(recording["scorer/time_s"]) == 0 or diverged:
+        return
+    checks = (_bound_faults, _cell_faults, _rotation_faults, _joint_faults, _force_faults)
+    _raise_first(recording, chain.from_iterable(check(recording) for check in checks))
 
 
 def check_finite_streams(recording: Recording) -> None:
@@ -61,274 +92,200 @@ def check_finite_streams(recording: Recording) -> None:
             raise RecordingError(f"{trial_id}: {path} holds {array[place]} at {place}; every value must be finite")
 
 
-def check_bounds(recording: Recording) -> None:
-    """Raises RecordingError for a value outside BOUNDS, or a base of the robot outside the room."""
-    trial_id = recording.header.spec.trial_id
-    for path, (low, high, unit) in BOUNDS.items():
-        array = recording[path]
-        # By the extremes: they need no array of their own, and a good recording has nothing to look for.
-        if array.size and not (array.min() >= low and array.max() <= high):
-            place = _first((array < low) | (array > high))
-            raise RecordingError(
-                f"{trial_id}: {path} holds {array[place]:g} at {place}; valid: {low:g} to {high:g} {unit}"
-            )
-    base = recording.header.pose_base_in_world
-    if max(abs(number) for number in base) > ROOM_M:
-        raise RecordingError(
-            f"{trial_id}: pose_base_in_world holds {base}; valid: positions of at most {ROOM_M:g} m, quat_wxyz"
-        )
-
-
-def check_cells(recording: Recording) -> None:
-    """Raises RecordingError for a negative sum of a cell, and for a cell with more area in contact than it has."""
-    arrays, trial_id = recording.arrays, recording.header.spec.trial_id
-    for path in (path for name in CELLS if (path := f"scorer/cell_{name}") in arrays):
-        if (arrays[path] < 0).any():
-            place = _first(arrays[path] < 0)
-            raise RecordingError(f"{trial_id}: {path} holds {arrays[path][place]:g} at {place}; valid: 0 or more")
-    if "scorer/cell_touch_m2s" in arrays and len(arrays["scorer/period_time_s"]):
-        period = np.diff(arrays["scorer/period_time_s"], prepend=0.0)
-        most = (1 + ROUNDING) * period[:, None] * arrays["scorer/cell_area_m2"]
-        if (beyond := arrays["scorer/cell_touch_m2s"] > most).any():
-            place = _first(beyond)
-            raise RecordingError(
-                f"{trial_id}: scorer/cell_touch_m2s holds {arrays['scorer/cell_touch_m2s'][place]:g} at {place}; "
-                f"valid: at most the cell's area times the period, {most[place] / (1 + ROUNDING):g} m^2 s"
-            )
-
-
-def check_rotations(recording: Recording) -> None:
-    """Raises RecordingError for a pose of the tool or of a region whose quaternion does not have length 1."""
-    for path in ("scorer/pose_tcp_in_world", "scorer/region_pose_in_world"):
-        quat = recording[path][..., 3:].astype(np.float64)
-        wrong = np.abs(np.einsum("...i,...i", quat, quat) - 1.0) > QUAT_TOLERANCE
-        if wrong.any():
-            raise RecordingError(
-                f"{recording.header.spec.trial_id}: {path} at {_first(wrong)} is not a rotation: quat_wxyz must have "
-                "length 1"
-            )
-
-
-def check_joint_ranges(recording: Recording) -> None:
-    """Raises RecordingError for a joint whose range ends below its start."""
-    low, high = recording["scorer/human_joint_range"].T
-    for joint in np.flatnonzero(low >= high).tolist():
-        raise RecordingError(
-            f"{recording.header.spec.trial_id}: scorer/human_joint_range of {recording.header.human_joints[joint]} is "
-            f"{low[joint]:g} to {high[joint]:g} rad; expected low below high"
-        )
-
-
-def check_reactions(recording: Recording) -> None:
-    """Raises RecordingError for an end stop that pushes inside a joint's range, or out of it. Recordings need not have
-    the array."""
-    reaction = recording.arrays.get("scorer/human_joint_reaction")
-    if reaction is None:
-        return
-    position = recording["scorer/human_joint_position"].astype(np.float64)
-    low, high = recording["scorer/human_joint_range"].T
-    # Positions are stored as float32: at an end they are off by less than this.
-    inward = np.where(position > high - ANGLE_ROUNDING_RAD, reaction <= 0, reaction == 0)
-    inward |= (position < low + ANGLE_ROUNDING_RAD) & (reaction >= 0)
-    if not inward.all():
-        step, joint = _first(~inward)
-        raise RecordingError(
-            f"{recording.header.spec.trial_id}: scorer/human_joint_reaction holds {reaction[step, joint]:g} N m for "
-            f"{recording.header.human_joints[joint]} at {position[step, joint]:g} rad; expected 0 inside "
-            f"{low[joint]:g} to {high[joint]:g} rad, and a torque back into it outside"
-        )
+def _raise_first(recording: Recording, faults: Iterator[str]) -> None:
+    for fault in faults:
+        raise RecordingError(f"{recording.header.spec.trial_id}: {fault}")
 
 
 def _first(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.argwhere(wrong)[0])
 
 
-# Checks whether a recording's force vectors, its sums of normal forces and its end agree with each other.
-
-MOST_FRICTION, MOST_BRAKE = 2.0, 2.0
-"""The largest coefficient that a protocol may have, and the brake of a tool that lets skin in (``STEEPEST`` in
-tissue/c/entry.c), both over the normal force: with both a contact's force is sqrt(17) of its normal part."""
-ROUNDING_N = 0.01
-BESIDE = ("scorer/beside_force_in_world", "scorer/beside_normal_force")
-"""What other parts of the robot than its tip did."""
-CUT_ROUNDING = 1e-5
+# Whether the values of a stream are possible: within bounds, unit quaternions, valid ranges.
 
 
-def check_forces(recording: Recording) -> None:
-    """Raises RecordingError naming the trial, the segment and the time where the forces contradict one another.
+def _bound_faults(recording: Recording) -> Iterator[str]:
+    for path, (low, high, unit) in BOUNDS.items():
+        array = recording[path]
+        # By the extremes: they need no array of their own, and a good recording has nothing to look for.
+        if array.size and not (array.min() >= low and array.max() <= high):
+            place = _first((array < low) | (array > high))
+            yield f"{path} holds {array[place]:g} at {place}; valid: {low:g} to {high:g} {unit}"
+    base = recording.header.pose_base_in_world
+    if max(abs(number) for number in base) > ROOM_M:
+        yield f"pose_base_in_world holds {base}; valid: positions of at most {ROOM_M:g} m, quat_wxyz"
 
-    They do where no friction explains a vector sum; where force or cause do not match an early stop by the benchmark;
-    where a force is above the truncation limit in a trial that was not truncated; and where hand and links of the
-    robot did more than the whole robot. A vector sum far below the normal
-    sum is no contradiction: a policy may press from two sides.
-    """
+
+def _cell_faults(recording: Recording) -> Iterator[str]:
+    """A negative sum of a cell, and a cell with more area in contact than it has."""
+    arrays = recording.arrays
+    for path in (path for name in CELLS if (path := f"scorer/cell_{name}") in arrays):
+        if (arrays[path] < 0).any():
+            place = _first(arrays[path] < 0)
+            yield f"{path} holds {arrays[path][place]:g} at {place}; valid: 0 or more"
+    if "scorer/cell_touch_m2s" in arrays and len(arrays["scorer/period_time_s"]):
+        touch, period = arrays["scorer/cell_touch_m2s"], np.diff(arrays["scorer/period_time_s"], prepend=0.0)
+        most = (1 + ROUNDING) * period[:, None] * arrays["scorer/cell_area_m2"]
+        if (touch > most).any():
+            place = _first(touch > most)
+            yield (
+                f"scorer/cell_touch_m2s holds {touch[place]:g} at {place}; valid: at most the cell's area times the "
+                f"period, {most[place] / (1 + ROUNDING):g} m^2 s"
+            )
+
+
+def _rotation_faults(recording: Recording) -> Iterator[str]:
+    for path in ("scorer/pose_tcp_in_world", "scorer/region_pose_in_world"):
+        quat = recording[path][..., 3:].astype(np.float64)
+        wrong = np.abs(np.einsum("...i,...i", quat, quat) - 1.0) > QUAT_TOLERANCE
+        if wrong.any():
+            yield f"{path} at {_first(wrong)} is not a rotation: quat_wxyz must have length 1"
+
+
+def _joint_faults(recording: Recording) -> Iterator[str]:
+    """A range that ends below its start, and an end stop that pushes inside a joint's range, or out of it. Recordings
+    need not have the torques of the end stops."""
+    low, high = recording["scorer/human_joint_range"].T
+    names = recording.header.human_joints
+    for joint in np.flatnonzero(low >= high).tolist():
+        yield (
+            f"scorer/human_joint_range of {names[joint]} is {low[joint]:g} to {high[joint]:g} rad; expected low below "
+            "high"
+        )
+    reaction = recording.arrays.get("scorer/human_joint_reaction")
+    if reaction is None:
+        return
+    position = recording["scorer/human_joint_position"].astype(np.float64)
+    # Positions are stored as float32: at an end they are off by less than this.
+    inward = np.where(position > high - ANGLE_ROUNDING_RAD, reaction <= 0, reaction == 0)
+    inward |= (position < low + ANGLE_ROUNDING_RAD) & (reaction >= 0)
+    if not inward.all():
+        step, joint = _first(~inward)
+        yield (
+            f"scorer/human_joint_reaction holds {reaction[step, joint]:g} N m for {names[joint]} at "
+            f"{position[step, joint]:g} rad; expected 0 inside {low[joint]:g} to {high[joint]:g} rad, and a torque "
+            "back into it outside"
+        )
+
+
+# Whether force vectors, sums of normal forces and the end of the trial agree.
+
+
+def _force_faults(recording: Recording) -> Iterator[str]:
+    """Vector sums that no friction explains; an end that does not match the forces; and hand and links of the robot
+    that did more than the whole robot. A vector sum far below the normal sum is no fault: a policy may press from two
+    sides."""
+    header, time = recording.header, recording["scorer/time_s"]
     force, normal = recording["scorer/force_human_from_robot_in_world"], recording["scorer/normal_force"]
-    loaded = np.flatnonzero((force != 0).any(axis=0).any(axis=1) | (normal != 0).any(axis=0)).tolist()
-    _check_parts(recording, normal)
+    yield from _part_faults(recording, normal)
     peaks: dict[str, float] = {}
-    for column in loaded:
+    for column in np.flatnonzero((force != 0).any(axis=0).any(axis=1) | (normal != 0).any(axis=0)).tolist():
+        segment = header.segments[column]
         norm = np.linalg.norm(force[:, column].astype(np.float64), axis=1)
-        peaks[recording.header.segments[column]] = float(norm.max())
-        _check_segment(recording, column, norm, normal[:, column])
-    _check_end(recording, peaks)
+        peaks[segment] = float(norm.max())
+        most = hypot(1.0, MOST_FRICTION + MOST_BRAKE) * normal[:, column] + ROUNDING_N
+        wrong = np.flatnonzero(norm > most)
+        if len(wrong):
+            at = wrong[0]
+            yield (
+                f"on {segment} scorer/force_human_from_robot_in_world is {norm[at]:.4g} N at {time[at]:.4g} s and "
+                f"scorer/normal_force {normal[at, column]:.4g} N; with a friction of up to {MOST_FRICTION:g} and a "
+                f"brake of up to {MOST_BRAKE:g} times it at most {most[at]:.4g} N"
+            )
+    yield from _end_faults(recording, peaks)
 
 
-def _check_parts(recording: Recording, normal: npt.NDArray[np.float32]) -> None:
+def _part_faults(recording: Recording, normal: npt.NDArray[np.float32]) -> Iterator[str]:
     """What hand and links did is a part of the whole, and both of its arrays are there or none."""
-    trial_id = recording.header.spec.trial_id
     there = [path in recording for path in BESIDE]
     if any(there) != all(there):
-        raise RecordingError(f"{trial_id}: has one of {' and '.join(BESIDE)}; expected both or none")
+        yield f"has one of {' and '.join(BESIDE)}; expected both or none"
     if not any(there):
         return
     beside = recording[BESIDE[1]]
     wrong = (beside < 0).any(axis=1) | (beside.sum(axis=1) > normal + ROUNDING_N)
     if wrong.any():
-        step, column = (int(i) for i in np.argwhere(wrong)[0])
-        raise RecordingError(
-            f"{trial_id}: {BESIDE[1]} holds {beside[step, :, column].tolist()} N on "
-            f"{recording.header.segments[column]} at step {step}; valid: 0 or more, together at most the whole "
-            f"{normal[step, column]:.4g} N"
+        step, column = _first(wrong)
+        yield (
+            f"{BESIDE[1]} holds {beside[step, :, column].tolist()} N on {recording.header.segments[column]} at step "
+            f"{step}; valid: 0 or more, together at most the whole {normal[step, column]:.4g} N"
         )
 
 
-def _check_segment(recording: Recording, column: int, norm: F64, normal: npt.NDArray[np.float32]) -> None:
-    header, time = recording.header, recording["scorer/time_s"]
-    place = f"{header.spec.trial_id}: on {header.segments[column]}"
-    most = hypot(1.0, MOST_FRICTION + MOST_BRAKE) * normal + ROUNDING_N
-    wrong = np.flatnonzero(norm > most)
-    if len(wrong):
-        at = wrong[0]
-        raise RecordingError(
-            f"{place} scorer/force_human_from_robot_in_world is {norm[at]:.4g} N at {time[at]:.4g} s and "
-            f"scorer/normal_force {normal[at]:.4g} N; with a friction of up to {MOST_FRICTION:g} and a "
-            f"brake of up to {MOST_BRAKE:g} times it at most {most[at]:.4g} N"
-        )
-
-
-def _check_end(recording: Recording, peaks: dict[str, float]) -> None:
-    header = recording.header
-    trial_id, protocol = header.spec.trial_id, header.spec.protocol
+def _end_faults(recording: Recording, peaks: dict[str, float]) -> Iterator[str]:
+    """A force above the truncation limit in a trial that was not truncated, and a truncation without one."""
+    header, protocol = recording.header, recording.header.spec.protocol
     cut_n = {segment: protocol.phases.truncation_over_pain * protocol.f_pain(segment) for segment in peaks}
     if header.ended != "safety_truncation":
         for segment, peak in peaks.items():
             if peak > cut_n[segment] * (1 + CUT_ROUNDING):
-                raise RecordingError(
-                    f"{trial_id}: ended {header.ended!r} with {peak:.4g} N on {segment}; above {cut_n[segment]:g} N a "
-                    "trial is truncated"
+                yield (
+                    f"ended {header.ended!r} with {peak:.4g} N on {segment}; above {cut_n[segment]:g} N a trial is "
+                    "truncated"
                 )
         return
     kind = header.failure.kind if header.failure else None
     if kind not in CUTS:
-        raise RecordingError(f"{trial_id}: ended 'safety_truncation' with failure {kind!r}; valid: {', '.join(CUTS)}")
+        yield f"ended 'safety_truncation' with failure {kind!r}; valid: {', '.join(CUTS)}"
     if kind == "force" and not any(peak > cut_n[s] * (1 - CUT_ROUNDING) for s, peak in peaks.items()):
-        told = ", ".join(f"{peak:.4g} N of {cut_n[s]:g} on {s}" for s, peak in peaks.items()) or "none on any segment"
-        raise RecordingError(
-            f"{trial_id}: truncated because of a force, but none is above its truncation limit: {told}"
-        )
+        found = ", ".join(f"{peak:.4g} N of {cut_n[s]:g} on {s}" for s, peak in peaks.items()) or "none on any segment"
+        yield f"truncated because of a force, but none is above its truncation limit: {found}"
 
 
-# Checks the times in a recording: one clock runs from t = 0 to the end of the trial, and no time lies outside it.
-
-TIME_TOLERANCE_S = 1e-6
-SHORTEST_STEP_S, LONGEST_STEP_S = 1e-5, 0.1
-LATE_ACTION_S = 0.25
-"""An action may be this much later than the trial's end: recordings with one exist, and they keep their score."""
+# Whether one clock runs from t = 0 to the end of the trial, and no time lies outside it.
 
 
-def check_times(recording: Recording) -> None:
-    """Raises RecordingError naming the trial, the array and the sample where the clocks contradict one another.
-
-    Refused are definitions whose filters need a higher sample rate; samples that are not one physics step apart, begin
-    elsewhere than at t = 0 or go on beyond the time limit; control periods that run back, leave a gap or end elsewhere
-    than the samples; actions and observations that run back or lie outside the trial; and a trial without samples that
-    did not fail.
-    """
-    trial_id, protocol = recording.header.spec.trial_id, recording.header.spec.protocol
-    dt = protocol.physics.dt_s
+def _time_faults(recording: Recording) -> Iterator[str]:
+    """Definitions whose filters need a higher sample rate; samples that are not one physics step apart, begin elsewhere
+    than at t = 0 or go on beyond the time limit; control periods that run back, leave a gap or end elsewhere than the
+    samples; actions and observations that run back or lie outside the trial; and a trial without samples that did not
+    fail."""
+    protocol = recording.header.spec.protocol
+    dt, limit_s = protocol.physics.dt_s, protocol.phases.time_limit_s
     if not SHORTEST_STEP_S <= dt <= LONGEST_STEP_S:
-        raise RecordingError(f"{trial_id}: physics.dt_s is {dt:g} s; valid: {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g}")
-    for fault in rate_faults(protocol):
-        raise RecordingError(f"{trial_id}: {fault}")
+        yield f"physics.dt_s is {dt:g} s; valid: {SHORTEST_STEP_S:g} to {LONGEST_STEP_S:g}"
+    yield from rate_faults(protocol)
     time: F64 = recording["scorer/time_s"]
     wrong = np.flatnonzero(np.abs(np.diff(time) - dt) > TIME_TOLERANCE_S)
     if len(wrong):
-        raise RecordingError(
-            f"{trial_id}: scorer/time_s steps by {time[wrong[0] + 1] - time[wrong[0]]:.6g} s after sample {wrong[0]}, "
-            f"expected {dt:g} s"
-        )
+        step_s = time[wrong[0] + 1] - time[wrong[0]]
+        yield f"scorer/time_s steps by {step_s:.6g} s after sample {wrong[0]}, expected {dt:g} s"
     if len(time):
-        _check_extent(trial_id, time, dt=dt, limit_s=protocol.phases.time_limit_s)
-        _check_periods(recording, time, dt=dt, period_s=protocol.physics.target_period_s)
+        # A sample's time is the start of its step; scripted signals begin one step later.
+        if not -TIME_TOLERANCE_S <= time[0] <= dt + TIME_TOLERANCE_S:
+            yield f"scorer/time_s begins at {time[0]:g} s; valid: 0 or one step of {dt:g} s"
+        if time[-1] > limit_s + dt + TIME_TOLERANCE_S:
+            yield f"scorer/time_s ends at {time[-1]:g} s; the time limit is {limit_s:g} s"
+        yield from _period_faults(recording, time, dt=dt, period_s=protocol.physics.target_period_s)
     elif not broke_down(recording.header):
-        raise RecordingError(
-            f"{trial_id}: ended {recording.header.ended!r} without a sample in scorer/time_s; only a trial whose "
-            "policy, harness or solver failed has none"
+        yield (
+            f"ended {recording.header.ended!r} without a sample in scorer/time_s; only a trial whose policy, harness "
+            "or solver failed has none"
         )
     end = float(time[-1]) if len(time) else 0.0
     for path, late in (("actions/time_s", LATE_ACTION_S), ("policy/observation_time_s", dt)):
-        _check_inside(trial_id, path, recording[path], end=end + late)
+        yield from _faults_inside(path, recording[path], end=end + late)
 
 
-def _check_extent(trial_id: str, time: F64, *, dt: float, limit_s: float) -> None:
-    # A sample's time is the start of its step; one step later is allowed, as recordings of scripted signals have it.
-    if not -TIME_TOLERANCE_S <= time[0] <= dt + TIME_TOLERANCE_S:
-        raise RecordingError(f"{trial_id}: scorer/time_s begins at {time[0]:g} s; valid: 0 or one step of {dt:g} s")
-    if time[-1] > limit_s + dt + TIME_TOLERANCE_S:
-        raise RecordingError(f"{trial_id}: scorer/time_s ends at {time[-1]:g} s; the time limit is {limit_s:g} s")
-
-
-def _check_periods(recording: Recording, time: F64, *, dt: float, period_s: float) -> None:
-    trial_id, path, end = recording.header.spec.trial_id, "scorer/period_time_s", float(time[-1])
+def _period_faults(recording: Recording, time: F64, *, dt: float, period_s: float) -> Iterator[str]:
+    path, end = "scorer/period_time_s", float(time[-1])
     periods: F64 = recording[path]
     gaps = np.diff(periods, prepend=0.0)
     wrong = np.flatnonzero((gaps <= 0) | (gaps > period_s + TIME_TOLERANCE_S))
     if len(wrong):
-        raise RecordingError(
-            f"{trial_id}: {path} holds {periods[wrong[0]]:g} s at {wrong[0]}, {gaps[wrong[0]]:g} s after what is "
-            f"before it; valid: above 0 and up to the {period_s:g} s of a period"
+        yield (
+            f"{path} holds {periods[wrong[0]]:g} s at {wrong[0]}, {gaps[wrong[0]]:g} s after what is before it; valid: "
+            f"above 0 and up to the {period_s:g} s of a period"
         )
     last = float(periods[-1]) if len(periods) else 0.0
     if not end - period_s - TIME_TOLERANCE_S <= last <= end + dt + TIME_TOLERANCE_S:
-        raise RecordingError(
-            f"{trial_id}: {path} ends at {last:g} s and scorer/time_s at {end:g} s; one of them is incomplete"
-        )
+        yield f"{path} ends at {last:g} s and scorer/time_s at {end:g} s; one of them is incomplete"
 
 
-def _check_inside(trial_id: str, path: str, times: F64, *, end: float) -> None:
+def _faults_inside(path: str, times: F64, *, end: float) -> Iterator[str]:
     back = np.flatnonzero(np.diff(times) < 0)
     if len(back):
-        raise RecordingError(
-            f"{trial_id}: {path} runs back from {times[back[0]]:g} to {times[back[0] + 1]:g} s at {back[0] + 1}"
-        )
+        yield f"{path} runs back from {times[back[0]]:g} to {times[back[0] + 1]:g} s at {back[0] + 1}"
     outside = np.flatnonzero(~((times >= -TIME_TOLERANCE_S) & (times <= end + TIME_TOLERANCE_S)))
     if len(outside):
-        raise RecordingError(
-            f"{trial_id}: {path} holds {times[outside[0]]:g} s at {outside[0]}, outside the trial: 0 to {end:g} s"
-        )
-
-
-# The checks that the scorer's streams must pass before a score is computed from them.
-
-
-def check_streams(recording: Recording) -> None:
-    """Raises RecordingError naming the trial, the array, the place in it and what would be valid.
-
-    The checks are ``check_finite_streams``, ``check_times``, ``check_bounds``, ``check_cells``, ``check_rotations``,
-    ``check_joint_ranges``, ``check_reactions`` and ``check_forces``. They do not find what is wrong by less than their
-    generous bounds: 5 % on every force, a wrist shifted by 1 cm. A trial that the solver cut needs only finite values
-    and clocks that agree. Whether an action may be executed is decided in ``Episode.step``, and not once more here.
-    """
-    check_finite_streams(recording)
-    check_times(recording)
-    header = recording.header
-    diverged = header.ended == "safety_truncation" and header.failure is not None and header.failure.kind == "solver"
-    # Diverging physics knows no bounds. Refused, such a trial would be lost; scored, it is a failed one.
-    if len(recording["scorer/time_s"]) == 0 or diverged:
-        return
-    check_bounds(recording)
-    check_cells(recording)
-    check_rotations(recording)
-    check_joint_ranges(recording)
-    check_reactions(recording)
-    check_forces(recording)
+        yield f"{path} holds {times[outside[0]]:g} s at {outside[0]}, outside the trial: 0 to {end:g} s"

@@ -3,6 +3,7 @@ ends."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +14,11 @@ from carecontact.scoring.contact import F64, Contact
 from carecontact.scoring.metrics.force import peak_of_segments
 from carecontact.scoring.result import Anatomy, FailureMode
 
-# How far the person's joints came toward the ends of their range, and beyond.
-
 LEAST_SETTLED_RAD = 0.01
 """Settled margins below this count as this value, because a share of almost nothing means nothing. The shipped persons
 settle with at least 0.08 rad."""
+MOST = 0.5
+"""Share of the contact impulse from which on the tool applied most of it."""
 
 
 def least_margin(recording: Recording) -> tuple[F64, F64]:
@@ -38,14 +39,6 @@ def consumed_margin(recording: Recording) -> F64:
     return np.maximum(1.0 - least / settled, 0.0)
 
 
-def joints_beyond(recording: Recording, limit_rad: float) -> dict[str, float]:
-    """Joint -> how far beyond its range it went [rad], for those that went farther than the limit."""
-    if not len(recording["scorer/human_joint_position"]):
-        return {}
-    beyond = -least_margin(recording)[0]
-    return {name: float(b) for name, b in zip(recording.header.human_joints, beyond, strict=True) if b > limit_rad}
-
-
 def farthest_beyond(recording: Recording) -> tuple[str, float, float]:
     """Return the joint that went farthest beyond its range, by how much [rad], and when [s]."""
     position = recording["scorer/human_joint_position"].astype(np.float64)
@@ -55,18 +48,16 @@ def farthest_beyond(recording: Recording) -> tuple[str, float, float]:
     return recording.header.human_joints[int(joint)], float(beyond.max()), float(recording["scorer/time_s"][step])
 
 
-def joints_consumed(recording: Recording, share: float) -> dict[str, float]:
-    """Joint -> share of its settled margin that was used up, for those above the given share."""
+def _joints_above(
+    recording: Recording, values: Callable[[Recording], F64], limit: float | None
+) -> dict[str, float] | None:
+    """Joint -> its value, for those above the limit; None without a limit."""
+    if limit is None:
+        return None
     if not len(recording["scorer/human_joint_position"]):
         return {}
-    consumed = consumed_margin(recording)
-    return {name: float(c) for name, c in zip(recording.header.human_joints, consumed, strict=True) if c > share}
-
-
-# The verdict on a trial: where it touched (anatomy), how far it came in the funnel, and its failure mode.
-
-MOST = 0.5
-"""Share of the contact impulse from which on the tool applied most of it."""
+    rows = zip(recording.header.human_joints, values(recording), strict=True)
+    return {name: float(value) for name, value in rows if value > limit}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,18 +83,18 @@ def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -
     """Return the verdict on a trial. Every trial has one anatomy, and at most one failure mode. A force above a safety
     gate has no mode of its own: ``over_limit`` tells of it.
 
-    Args:
-        own: the verdict on the same recording under another gate of its action or another floor of contact. On neither
-            do its joints depend, which are then not measured again.
+    ``own``: the verdict on the same recording under another gate of its action or another floor of contact. On neither
+    do its joints depend, which are then not measured again.
     """
-    share = contact.region_share
+    share, rules, gates = contact.region_share, contact.protocol, contact.protocol.gates
     region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
-    over, gates = over_limit(contact), contact.protocol.gates
+    ratios = {s: f / (rules.limits.gamma * rules.f_pain(s)) for s, f in peak_of_segments(contact).items()}
+    over = {segment: ratio for segment, ratio in ratios.items() if ratio > 1.0}
     if own is not None:
         beyond, consumed = own.joints_beyond, own.joints_consumed
     else:
-        beyond = None if gates.joint_beyond_rad is None else joints_beyond(contact.recording, gates.joint_beyond_rad)
-        consumed = None if gates.joint_consumed is None else joints_consumed(contact.recording, gates.joint_consumed)
+        beyond = _joints_above(contact.recording, lambda r: -least_margin(r)[0], gates.joint_beyond_rad)
+        consumed = _joints_above(contact.recording, consumed_margin, gates.joint_consumed)
     return Verdict(
         anatomy=_anatomy(contact),
         success=gate.success,
@@ -118,13 +109,6 @@ def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -
         over_limit=over,
         failure_mode=_failure_mode(contact, gate) if not region_correct else "joint_beyond_range" if beyond else None,
     )
-
-
-def over_limit(contact: Contact) -> dict[str, float]:
-    """Return touched segments whose peak exceeds gamma' F_pain, with the ratio."""
-    protocol = contact.protocol
-    ratio = {s: f / (protocol.limits.gamma * protocol.f_pain(s)) for s, f in peak_of_segments(contact).items()}
-    return {segment: r for segment, r in ratio.items() if r > 1.0}
 
 
 def _anatomy(contact: Contact) -> Anatomy:
@@ -146,7 +130,8 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
         return "no_target_contact"
     if anatomy == "off_target":
         return "off_target_contact"
-    if not gate.success and _by_another_part(contact):
+    behaviour, share = behaviour_of(contact.task.action, contact.protocol.gates.set), contact.tool_share
+    if not gate.success and behaviour.by_tool and share is not None and share < MOST:
         return "not_by_tool"
     if not gate.time_met and ask(contact, "lost", contact, contact.protocol.gates.of(contact.task.action), gate):
         return "lost_contact"
@@ -156,9 +141,3 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
     if not gate.success and not (gate.progress_met and ended == "time_limit"):
         return "insufficient_progress"
     return "wrong_share" if gate.success else "time_limit"
-
-
-def _by_another_part(contact: Contact) -> bool:
-    """Whether the tool has to do it, and hand and links of the robot applied most of the contact impulse."""
-    behaviour, share = behaviour_of(contact.task.action, contact.protocol.gates.set), contact.tool_share
-    return behaviour.by_tool and share is not None and share < MOST

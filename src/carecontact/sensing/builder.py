@@ -5,18 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import ObservationError
 from carecontact.interface.geometry import quat_from_matrix
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.observation import F32, F64, U8, Bool, CameraView, Observation
 from carecontact.interface.policy import CAMERAS, PolicyCard
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Variation
-from carecontact.sensing.keypoints import KeypointEstimator
+from carecontact.sensing.keypoints import KeypointEstimator, KeyPoints
 from carecontact.sensing.segmentation import PersonSegmenter, segment
 
 if TYPE_CHECKING:
@@ -25,16 +25,32 @@ if TYPE_CHECKING:
     from carecontact.sim.rendering import SceneRenderer
 
 
-# Back-projection of depth images.
-
-F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
-U8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
-
 WINDOWS_PX = (2, 6)
 """Half widths of the windows whose median depth stands for a landmark: one pixel is 3-4 mm overhead, edges are noisy;
 the wider one serves a landmark that falls just beside its limb."""
+AXIAL_M, AXIAL_PER_M, AXIAL_FROM_M = 0.0012, 0.0019, 0.4
+"""sigma = 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2: Nguyen, Izadi and Lovell 2012, for surfaces seen at up to 60 deg."""
+LATERAL_PX = 0.8
+"""Nguyen, Izadi and Lovell 2012: a pixel's depth is that of a place this far off (sigma), which frays edges."""
+DISPARITY_STEP_PER_M = 2.85e-3
+"""Depth comes in steps of this times z^2: Khoshelham and Elberink 2012."""
+GRAZING_DEG = 80.0
+"""No depth where the surface turns away further from the line of sight, and so none at steps in depth; assumed."""
+IMAGES_FOR = {
+    "rgb": ("rgb",),
+    "depth": ("depth",),
+    "points": ("rgb", "depth"),
+    "masks": ("rgb", "depth", "robot_depth", "cell_depth"),
+    "landmarks": ("rgb", "depth"),
+}
+"""Modality -> the images from which it is made; no other image is rendered."""
+ALLOWED = frozenset(
+    "instruction sim_time_s joint_position joint_velocity gripper_position pose_tcp_in_base cameras".split()
+)
+"""A literal list and not the fields of the dataclass, so that a new field needs a second, deliberate edit."""
+ALLOWED_IN_VIEW = frozenset(
+    "intrinsics pose_camera_in_base rgb depth points point_colors masks landmarks landmarks_in_base".split()
+)
 
 
 def back_project(uv: npt.ArrayLike, depth: npt.ArrayLike, intrinsics: F64, pose_camera_in_base: F64) -> F64:
@@ -86,18 +102,6 @@ def surface_under(landmarks: F32, depth: F32, intrinsics: F64, pose_camera_in_ba
                 surface[index] = back_project([u, v], float(np.median(depths)), intrinsics, pose_camera_in_base)
                 break
     return surface
-
-
-# Noise of real depth cameras and encoders; the same for the same seed, moment and camera.
-
-AXIAL_M, AXIAL_PER_M, AXIAL_FROM_M = 0.0012, 0.0019, 0.4
-"""sigma = 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2: Nguyen, Izadi and Lovell 2012, for surfaces seen at up to 60 deg."""
-LATERAL_PX = 0.8
-"""Nguyen, Izadi and Lovell 2012: a pixel's depth is that of a place this far off (sigma), which frays edges."""
-DISPARITY_STEP_PER_M = 2.85e-3
-"""Depth comes in steps of this times z^2: Khoshelham and Elberink 2012."""
-GRAZING_DEG = 80.0
-"""No depth where the surface turns away further from the line of sight, and so none at steps in depth; assumed."""
 
 
 def structured_light(depth: F32, intrinsics: F64, rng: np.random.Generator) -> F32:
@@ -156,51 +160,13 @@ class SensorNoise:
         return np.random.default_rng(np.random.SeedSequence([*self._key, round(sim_time_s / self._dt_s), sensor]))
 
 
-# The one place where an observation is made.
-
-IMAGES_FOR = {
-    "rgb": ("rgb",),
-    "depth": ("depth",),
-    "points": ("rgb", "depth"),
-    "masks": ("rgb", "depth", "robot_depth", "cell_depth"),
-    "landmarks": ("rgb", "depth"),
-}
-"""Modality -> the images from which it is made; no other image is rendered."""
-
-ALLOWED = frozenset(
-    (
-        "instruction",
-        "sim_time_s",
-        "joint_position",
-        "joint_velocity",
-        "gripper_position",
-        "pose_tcp_in_base",
-        "cameras",
-    )
-)
-"""A literal list and not the fields of the dataclass, so that a new field needs a second, deliberate edit."""
-ALLOWED_IN_VIEW = frozenset(
-    (
-        "intrinsics",
-        "pose_camera_in_base",
-        "rgb",
-        "depth",
-        "points",
-        "point_colors",
-        "masks",
-        "landmarks",
-        "landmarks_in_base",
-    )
-)
-
-
 @dataclass(frozen=True, kw_only=True)
 class RawView:
     """The images of one camera; every derived modality is a function of them alone."""
 
     intrinsics: F64
     pose_camera_in_base: F64
-    """(4, 4) as the cell believes it to be (``observation.calibration``)."""
+    """(4, 4) as the cell believes it to be (``sensing.calibration``)."""
     rgb: U8 | None = None
     depth: F32 | None = None
     robot_depth: F32 | None = None
@@ -253,40 +219,25 @@ def derive_view(
             f"raw view: expected the images that {', '.join(modalities)} are made of, got no {' and no '.join(missing)}"
         )
     view: dict[str, Any] = {"intrinsics": raw.intrinsics, "pose_camera_in_base": raw.pose_camera_in_base}
-    points = found = person = masks = None
-    if raw.depth is not None and {"points", "masks"} & set(modalities):
-        points = organised_points(raw.depth, raw.intrinsics, raw.pose_camera_in_base)
-    if raw.rgb is not None and ("landmarks" in modalities or ("masks" in modalities and segmenter is None)):
-        found = keypoints.estimate(raw.rgb)
-        person = found.person
-    if raw.rgb is not None and "masks" in modalities and segmenter is not None:
-        person = segmenter.person(raw.rgb)
-    if "rgb" in modalities:
-        view["rgb"] = raw.rgb
-    if "depth" in modalities:
-        view["depth"] = raw.depth
-    if "points" in modalities and points is not None and raw.rgb is not None:
-        view["points"], view["point_colors"] = coloured_cloud(points, raw.rgb)
-    if "masks" in modalities and person is not None and points is not None:
-        assert raw.depth is not None
-        assert raw.robot_depth is not None
-        assert raw.cell_depth is not None
-        masks = view["masks"] = segment(
-            person=person,
-            depth=raw.depth,
-            robot_depth=raw.robot_depth,
-            cell_depth=raw.cell_depth,
+    rgb, depth, camera = cast(U8, raw.rgb), cast(F32, raw.depth), (raw.intrinsics, raw.pose_camera_in_base)
+    wants_masks, wants_landmarks = "masks" in modalities, "landmarks" in modalities
+    points = organised_points(depth, *camera) if "points" in modalities or wants_masks else np.empty(0)
+    found = keypoints.estimate(rgb) if wants_landmarks or (wants_masks and segmenter is None) else None
+    view |= {name: getattr(raw, name) for name in ("rgb", "depth") if name in modalities}
+    if "points" in modalities:
+        view["points"], view["point_colors"] = coloured_cloud(points, rgb)
+    if wants_masks:
+        view["masks"] = segment(
+            person=cast(KeyPoints, found).person if segmenter is None else segmenter.person(rgb),
+            depth=depth,
+            robot_depth=cast(F32, raw.robot_depth),
+            cell_depth=cast(F32, raw.cell_depth),
             points=points,
         )
-    if "landmarks" in modalities and found and raw.depth is not None:
+    if wants_landmarks and found is not None:
+        where = view["masks"]["human"] if wants_masks else None
         view["landmarks"] = found.landmarks
-        view["landmarks_in_base"] = surface_under(
-            found.landmarks,
-            raw.depth,
-            raw.intrinsics,
-            raw.pose_camera_in_base,
-            where=None if masks is None else masks["human"],
-        )
+        view["landmarks_in_base"] = surface_under(found.landmarks, depth, *camera, where=where)
     return view
 
 
@@ -311,12 +262,7 @@ def derive(
         "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
     }
     views = {
-        camera: derive_view(
-            view,
-            modalities=modalities,
-            keypoints=keypoints,
-            segmenter=segmenter,
-        )
+        camera: derive_view(view, modalities=modalities, keypoints=keypoints, segmenter=segmenter)
         for camera, view in raw.views.items()
     }
     return assemble(values, views)

@@ -1,4 +1,4 @@
-"""Where the cameras are said to stand, and where they really stand in the frame that a policy sees."""
+"""Where the cameras stand by the cell's calibration, and where they really stand in the frame that a policy sees."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from carecontact.interface.policy import CAMERAS
 from carecontact.protocol.protocol import Protocol
 from carecontact.sim.rendering import SceneRenderer
 
-# The error of the extrinsic calibration of the fixed cameras in one trial.
-
 F64 = npt.NDArray[np.float64]
 Calibration = Mapping[str, F64]
 """Fixed camera -> (4, 4) error in its own frame (x right, y down, z forward): believed pose = true pose @ error. A
 camera on the hand has none; its pose follows the encoders."""
+BELIEVED, TRUE = "policy/believed_pose_camera_in_base", "scorer/pose_camera_in_base"
+"""Arrays of a recording: the poses that the policy received, and the true ones."""
 
 
 def draw_calibration(rng: np.random.Generator, protocol: Protocol) -> dict[str, F64]:
@@ -33,27 +33,18 @@ def draw_calibration(rng: np.random.Generator, protocol: Protocol) -> dict[str, 
     if not (shift_m or turn_deg):
         return {}
     draws = rng.standard_normal((len(CAMERAS), 2, 3))
-    return {
-        name: _transform(shift_m * shift, np.radians(turn_deg) * turn)
-        for name, (shift, turn) in zip(CAMERAS, draws, strict=True)
-        if name in protocol.cameras and protocol.cameras[name].mount == "world"
-    }
-
-
-def _transform(shift_m: F64, turn_rad: F64) -> F64:
-    error = np.eye(4)
-    error[:3, :3], error[:3, 3] = cv2.Rodrigues(turn_rad)[0], shift_m
-    return error
-
-
-# The true poses of a trial's cameras, and those that its policy was told.
-
-BELIEVED, TRUE = "policy/believed_pose_camera_in_base", "scorer/pose_camera_in_base"
+    errors: dict[str, F64] = {}
+    for name, (shift, turn) in zip(CAMERAS, draws, strict=True):
+        if name in protocol.cameras and protocol.cameras[name].mount == "world":
+            errors[name] = np.eye(4)
+            errors[name][:3, :3] = cv2.Rodrigues(np.radians(turn_deg) * turn)[0]
+            errors[name][:3, 3] = shift_m * shift
+    return errors
 
 
 class CameraPoses:
-    """Collects told and true camera poses for a recording if the cell's calibration has an error; the true poses are
-    for the scorer alone.
+    """Collects believed and true camera poses for a recording if the cell's calibration has an error; the true poses
+    are for the scorer alone.
     """
 
     def __init__(self, renderer: SceneRenderer) -> None:

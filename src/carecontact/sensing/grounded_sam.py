@@ -1,4 +1,5 @@
-"""The segmenter of a run: by depth, or by Grounded SAM with weights of the user."""
+"""Grounded SAM: Grounding DINO finds the person by a word, SAM outlines what is in the box. The user brings the
+weights."""
 
 from __future__ import annotations
 
@@ -10,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.errors import ConfigError, DependencyError, ObservationError, counted
+from carecontact.interface.observation import F32, U8, Bool
 from carecontact.protocol.protocol import Protocol
 from carecontact.sensing.segmentation import PersonSegmenter
 
-# Checks a folder with the weights of Grounded-SAM and computes the hash that names it.
-
 MODELS = ("grounding-dino", "sam")
 """Folders in the user's folder, each named as the ``model_type`` in its config.json."""
+PROMPT = "a person."
+"""Grounding DINO was trained on lower-case phrases that end with a full stop."""
+MIN_SCORE = 0.25
+"""Default of transformers' post-processing, for boxes and for words."""
 
 
 def weights_sha256(folder: Path) -> str:
@@ -42,12 +45,10 @@ def weights_sha256(folder: Path) -> str:
 
 
 def _check_model(folder: Path) -> None:
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; expected a {folder.name} model as save_pretrained writes it")
     config = folder / "config.json"
     try:
         content = json.loads(config.read_bytes())
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise ConfigError(f"{config}: not there; expected a {folder.name} model as save_pretrained writes it") from None
     except ValueError as error:
         raise ConfigError(f"{config}: not JSON: {error}") from None
@@ -58,17 +59,6 @@ def _check_model(folder: Path) -> None:
         # Others are pickles, which run code when they are read.
         others = sorted(path.name for pattern in ("*.bin", "*.pt", "*.pth") for path in folder.glob(pattern))
         raise ConfigError(f"{folder}: expected weights in *.safetensors, got {', '.join(others) or 'none'}")
-
-
-# Grounded-SAM: Grounding DINO finds the person by a word, SAM outlines what is in the box. The user brings the weights.
-
-F32 = npt.NDArray[np.float32]
-U8 = npt.NDArray[np.uint8]
-
-PROMPT = "a person."
-"""Grounding DINO was trained on lower-case phrases that end with a full stop."""
-MIN_SCORE = 0.25
-"""Default of transformers' post-processing, for boxes and for words."""
 
 
 class GroundedSam:
@@ -129,7 +119,7 @@ class GroundedSam:
             return None
         return found["boxes"][int(found["scores"].argmax())].tolist()
 
-    def _mask(self, rgb: U8, box: list[float]) -> npt.NDArray[np.bool_]:
+    def _mask(self, rgb: U8, box: list[float]) -> Bool:
         given = self._outliner_input(images=rgb, input_boxes=[[box]], return_tensors="pt")
         sizes = given.pop("original_sizes"), given.pop("reshaped_input_sizes")
         # The processor makes boxes of 64 bits, the model has 32.
@@ -145,8 +135,7 @@ def _model(kind: Any, folder: Path) -> Any:
     # transformers would initialise missing weights at random and only warn.
     missing = sorted(loaded["missing_keys"])
     if missing:
-        lacking = counted(len(missing), "weight")
-        raise ConfigError(f"{folder}: {kind.__name__} lacks {lacking}, the first {missing[0]}")
+        raise ConfigError(f"{folder}: {kind.__name__} lacks {counted(len(missing), 'weight')}, the first {missing[0]}")
     return model.eval()
 
 
@@ -163,11 +152,8 @@ def _part(kind: Any, folder: Path, **options: Any) -> Any:
         return kind.from_pretrained(folder, local_files_only=True, **options)
     except Exception as error:
         # transformers, safetensors and torch each have errors of their own for a file that is absent or broken.
-        told = " ".join(str(error).split())
-        raise ConfigError(f"{folder}: {kind.__name__} cannot be loaded: {type(error).__name__}: {told:.300}") from None
-
-
-# The segmenter that a protocol names, with the weights that the user supplied.
+        why = " ".join(str(error).split())
+        raise ConfigError(f"{folder}: {kind.__name__} cannot be loaded: {type(error).__name__}: {why:.300}") from None
 
 
 def person_segmenter(protocol: Protocol, weights: Path | None = None) -> PersonSegmenter | None:

@@ -15,23 +15,23 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import DependencyError
-
-F32 = npt.NDArray[np.float32]
-U8 = npt.NDArray[np.uint8]
+from carecontact.interface.observation import F32, U8
 
 LANDMARK_COUNT = 33
-
 ROTATIONS = (0, 1, 3)
 """Quarter turns that are tried: the detector was trained on upright people, a patient lies at any angle to a camera."""
 CROP_MARGIN = 0.15
 """Added round the first pass's person, as a share of its larger side."""
 MIN_DETECTION_CONFIDENCE = 0.5
+NEEDLESS = ("matplotlib", "matplotlib.pyplot", "mediapipe.tasks", "mediapipe.tasks.python")
+"""What MediaPipe imports for its drawing functions and its newer interface, of which Pose uses none: a second or more
+of every trial. The newer interface looks for a sound card's library, too, with the help of a compiler."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KeyPoints:
     landmarks: F32
-    """(33, 3): u [px], v [px], visibility in [0, 1]; MediaPipe Pose order; all NaN when nobody was found."""
+    """(33, 3): u [px], v [px], visibility in [0, 1]; MediaPipe Pose order; all NaN when no person was found."""
     person: F32
     """(H, W) probability that a pixel shows the person."""
 
@@ -42,7 +42,7 @@ class KeypointEstimator(TypingProtocol):
         ...
 
 
-def nobody(height: int, width: int) -> KeyPoints:
+def no_person(height: int, width: int) -> KeyPoints:
     return KeyPoints(
         landmarks=np.full((LANDMARK_COUNT, 3), np.nan, np.float32), person=np.zeros((height, width), np.float32)
     )
@@ -63,31 +63,10 @@ def _quiet_stderr() -> Iterator[None]:
         os.close(sink)
 
 
-def unrotate(uv: npt.NDArray[np.float64], quarter_turns: int, height: int, width: int) -> npt.NDArray[np.float64]:
-    """(N, 2) pixels of ``np.rot90(image, quarter_turns)`` -> pixels of the (height, width) image."""
-    u, v = uv[:, 0], uv[:, 1]
-    match quarter_turns % 4:
-        case 0:
-            pair = (u, v)
-        case 1:
-            pair = (width - 1 - v, u)
-        case 2:
-            pair = (width - 1 - u, height - 1 - v)
-        case _:
-            pair = (v, height - 1 - u)
-    return np.stack(pair, -1)
-
-
-NEEDLESS = ("matplotlib", "matplotlib.pyplot", "mediapipe.tasks", "mediapipe.tasks.python")
-"""What MediaPipe imports for its drawing functions and its newer interface, of which Pose uses none: a second or more
-of every trial. The newer interface looks for a sound card's library, too, with the help of a compiler."""
-
-
 @contextmanager
 def _without_needless() -> Iterator[None]:
     """Keep MediaPipe from importing NEEDLESS."""
-    names = [name for name in NEEDLESS if name not in sys.modules]
-    stand_ins = {name: ModuleType(name) for name in names}
+    stand_ins = {name: ModuleType(name) for name in NEEDLESS if name not in sys.modules}
     sys.modules.update(stand_ins)
     try:
         yield
@@ -95,6 +74,13 @@ def _without_needless() -> Iterator[None]:
         for name, stand_in in stand_ins.items():
             if sys.modules.get(name) is stand_in:
                 del sys.modules[name]
+
+
+def unrotate(uv: npt.NDArray[np.float64], quarter_turns: int, height: int, width: int) -> npt.NDArray[np.float64]:
+    """(N, 2) pixels of ``np.rot90(image, quarter_turns)`` -> pixels of the (height, width) image."""
+    u, v = uv[:, 0], uv[:, 1]
+    turned = ((u, v), (width - 1 - v, u), (width - 1 - u, height - 1 - v), (v, height - 1 - u))
+    return np.stack(turned[quarter_turns % 4], -1)
 
 
 def import_pose() -> Any:
@@ -113,9 +99,9 @@ def import_pose() -> Any:
             "`carecontact doctor` prints the command that installs it"
         ) from None
     except (ImportError, OSError) as error:
-        told = " ".join(str(error).split()) or type(error).__name__
+        why = " ".join(str(error).split()) or type(error).__name__
         raise DependencyError(
-            f"the modalities landmarks and masks need MediaPipe, which is installed but cannot be imported ({told}); "
+            f"the modalities landmarks and masks need MediaPipe, which is installed but cannot be imported ({why}); "
             "`carecontact doctor` says what is wrong"
         ) from None
     return Pose
@@ -125,7 +111,7 @@ class MediaPipePose:
     """MediaPipe Pose 0.10.21, the model its wheel carries: median over three rotations, then again on a crop.
 
     The person lies, so single views scatter: the median and the second pass at higher resolution steady them. The graph
-    is built at the first image. Raises nothing when nobody is found: landmarks are NaN then.
+    is built at the first image. Landmarks are NaN when no person is found.
     """
 
     def __init__(self) -> None:
@@ -135,7 +121,7 @@ class MediaPipePose:
         height, width = rgb.shape[:2]
         coarse = self._vote(rgb)
         if coarse is None:
-            return nobody(height, width)
+            return no_person(height, width)
         left, top, right, bottom = _crop_box(coarse.landmarks[:, :2], height, width)
         fine = self._vote(rgb[top:bottom, left:right])
         if fine is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -60,9 +61,7 @@ def load_factory(target: str) -> Factory:
 
 
 def parameters_of(factory: Factory) -> tuple[Parameter, ...]:
-    """Return the parameters that can be given by name, in the order of the signature, without ``*args`` and
-    ``**kwargs``.
-    """
+    """Return the parameters that can be given by name, in the order of the signature."""
     return tuple(
         Parameter(name=p.name, annotation=_evaluated(p.annotation, factory), default=p.default)
         for p in _signature(factory).parameters.values()
@@ -107,20 +106,18 @@ def convert(text: str, annotation: object) -> object:
     ``none`` becomes None if the annotation allows None and no text. Raises ValueError if the conversion fails.
     """
     if annotation is bool:
-        return _truth(text)
+        return _chosen(text.lower(), TRUTHS)
     if isinstance(annotation, type) and annotation in _SIMPLE:
         return _SIMPLE[annotation](text)
     if get_origin(annotation) is Literal:
-        return _choice(text, get_args(annotation))
+        return _chosen(text, {str(choice): choice for choice in reversed(get_args(annotation))})
     if get_origin(annotation) in (Union, UnionType):
         return _first_that_fits(text, get_args(annotation))
     return text
 
 
 def described(annotation: object) -> str:
-    """Return words for an annotation: ``Path``, ``a | b`` for a Literal, ``int | str`` and so on. Of a union, only the
-    types that a text can become are named.
-    """
+    """Return words for an annotation, such as ``a | b`` for a Literal; of a union, the types that a text can become."""
     if annotation is inspect.Parameter.empty:
         return "str"
     if get_origin(annotation) is Literal:
@@ -132,17 +129,10 @@ def described(annotation: object) -> str:
     return annotation.__name__ if isinstance(annotation, type) else str(annotation)
 
 
-def _truth(text: str) -> bool:
-    if text.lower() not in TRUTHS:
+def _chosen(text: str, choices: Mapping[str, object]) -> object:
+    if text not in choices:
         raise ValueError(text)
-    return TRUTHS[text.lower()]
-
-
-def _choice(text: str, choices: tuple[object, ...]) -> object:
-    for choice in choices:
-        if str(choice) == text:
-            return choice
-    raise ValueError(text)
+    return choices[text]
 
 
 def _first_that_fits(text: str, parts: tuple[object, ...]) -> object:
@@ -151,10 +141,8 @@ def _first_that_fits(text: str, parts: tuple[object, ...]) -> object:
     # Any text fits str and every annotation that is unknown here, so that the other types are tried first.
     exact = [part for part in parts if part is not NoneType and _convertible(part) and part is not str]
     for part in exact:
-        try:
+        with suppress(ValueError):
             return convert(text, part)
-        except ValueError:
-            continue
     if all(part is NoneType or part in exact for part in parts):
         raise ValueError(text)
     return text

@@ -1,4 +1,5 @@
-"""What runs in a policy's process: the import wall, the policy, and its end of the wire."""
+"""What runs in a policy's isolated process: it raises the import wall, constructs the policy, reports the port and
+serves."""
 
 from __future__ import annotations
 
@@ -20,8 +21,6 @@ from carecontact.serving.process_tree import give_stack
 from carecontact.serving.server import serve_policy, traceback_text
 from carecontact.system import is_exhausted
 
-# A wall against accidents: a policy in this process cannot import the world that it is judged in.
-
 OPEN = (
     "carecontact.errors",
     "carecontact.system",
@@ -31,23 +30,18 @@ OPEN = (
     "carecontact.serving",
 )
 """The modules of carecontact that a policy may import; a new module is closed until it is named here."""
-
-
-def _closed(name: str) -> bool:
-    top = name.partition(".")[0]
-    if top == "carecontact":
-        return name != top and not any(name == part or name.startswith(f"{part}.") for part in OPEN)
-    return top == "mujoco"
+_OPEN_PREFIXES = tuple(f"{part}." for part in OPEN)
 
 
 class ImportWall(MetaPathFinder):
+    """A wall against accidents: a policy in this process cannot import the world that it is judged in."""
+
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
-        """Raise ImportError for mujoco and for every part of carecontact that is not in OPEN; leave the rest to other
-        finders.
-        """
-        if _closed(fullname):
+        """Raise ImportError for mujoco and for every part of carecontact that is not in OPEN."""
+        top, _, part = fullname.partition(".")
+        if top == "mujoco" or (top == "carecontact" and part and not f"{fullname}.".startswith(_OPEN_PREFIXES)):
             raise ImportError(
                 f"{fullname} is closed to policies: a policy sees only its observations, never the simulation or the "
                 f"scorer; it may import {', '.join(OPEN)} and packages other than mujoco",
@@ -57,9 +51,7 @@ class ImportWall(MetaPathFinder):
 
 
 def raise_wall() -> None:
-    """Install the wall. Raises RuntimeError if a closed module is already loaded, because the wall could not close
-    it.
-    """
+    """Install the wall. Raises RuntimeError if a closed module is loaded already: the wall could not close it."""
     wall = ImportWall()
     for name in list(sys.modules):
         try:
@@ -67,10 +59,6 @@ def raise_wall() -> None:
         except ImportError as error:
             raise RuntimeError(f"loaded before the import restrictions were in place: {error}") from None
     sys.meta_path.insert(0, wall)
-
-
-# What the policy's isolated process does: it raises the import wall, constructs the policy, reports the port and
-# serves.
 
 
 class Options(TypedDict):
@@ -120,31 +108,32 @@ def main(options: Options) -> None:
     RECEIVED.update(options)
     give_stack(options["stack_fd"])
     arguments = options["arguments"]
-    with os.fdopen(options["report_fd"], "w") as report:
+    with os.fdopen(options["report_fd"], "w", buffering=1) as report:
 
-        def tell(said: dict[str, str | int]) -> None:
-            report.write(json.dumps(said) + "\n")
+        def write(line: Mapping[str, object]) -> None:
+            report.write(f"{json.dumps(line)}\n")
+
+        def listening(port: int) -> None:
+            write({"port": port})
             report.close()
 
-        report.write(json.dumps({"isolation": options.get("isolation")}) + "\n")
-        report.flush()
-
+        write({"isolation": options.get("isolation")})
         try:
             raise_wall()
             sys.path[:0] = options["search_path"]
             policy = _construct(options["target"], {**arguments, **options["language"]})
         except ConfigError as error:
-            # Its message is for who gave the arguments, be it ours or the policy's own.
-            tell({"error": str(error), "kind": "argument"})
+            # Its message is for the user who gave the arguments, be it ours or the policy's own.
+            write({"error": str(error), "kind": "argument"})
             return
         except (Exception, SystemExit) as error:
             message = f"could not load {options['target']}:\n{traceback_text(error)}"
-            tell({"error": message, "kind": "start"})
+            write({"error": message, "kind": "start"})
             return
         try:
             serve_policy(
                 policy,
-                on_port=lambda port: tell({"port": port}),
+                on_port=listening,
                 client_port=options["harness_port"],
                 arguments=arguments,
                 environment=tuple(options["environment"]),

@@ -17,9 +17,9 @@ from carecontact.interface.robot import Session
 from carecontact.serving import codec
 from carecontact.serving.codec import CLOSE, act_message, reset_message
 from carecontact.serving.connection import LATE, Connection, instead, wrong_keys
-from carecontact.serving.packing import MAX_REPLY_BYTES, is_map, unpack
+from carecontact.serving.packing import MAX_REPLY_BYTES, NATIVE, Packing, is_map
 
-# The harness's end of a conversation with a policy, whichever wire format its server uses.
+NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,70 +37,50 @@ class ActReply:
 
 
 class Client(ABC):
-    """One trial's conversation with a policy. Every failure is a PolicyError, and its kind says what the policy did."""
+    """One trial's conversation with a policy: ``card``, ``reset``, and any number of ``act``.
 
-    _begun = False
+    Every failure is a PolicyError, and its kind says what the policy did.
+    """
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
 
     @abstractmethod
     def card(self, *, deadline_s: float) -> PolicyCard:
-        """Return the policy's card. Call it once, before the other methods."""
+        """Return the policy's card."""
 
+    @abstractmethod
     def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         """Begin the trial."""
-        self._begun = True
-        self._begin(instruction, session, deadline_s=deadline_s)
 
+    @abstractmethod
     def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
         """Send an observation and return the answer.
 
         Raises ObservationError if the observation breaks the contract, which is the harness's fault.
         """
-        if not self._begun:
-            raise ContractError(f"{type(self).__name__}.act: expected reset before it, got none")
-        return self._act(observation, deadline_s=deadline_s)
+
+    @abstractmethod
+    def _end(self, *, deadline_s: float) -> None: ...
 
     def say_goodbye(self, *, deadline_s: float) -> None:
         """Ask the policy to end. A policy that is gone has ended already."""
         with suppress(PolicyError):
             self._end(deadline_s=deadline_s)
 
-    def disconnect(self) -> None:
-        self.connection.close()
-
-    @abstractmethod
-    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None: ...
-
-    @abstractmethod
-    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply: ...
-
-    @abstractmethod
-    def _end(self, *, deadline_s: float) -> None: ...
-
-
-def sha256(message: bytes) -> bytes:
-    return hashlib.sha256(message).digest()
-
-
-# The client of the native wire.
-
-NOTE_KEY = re.compile(r"[a-z][a-z0-9_]{0,63}")
-
 
 class PolicyClient(Client):
     """Speaks the native wire (docs/wire.md)."""
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        frame = self.connection.receive("card", deadline_s=deadline_s, late=LATE["card"])
+        frame = self.connection.receive("card", deadline_s=deadline_s, late=LATE)
         return codec.decode_card(_decoded(frame, "card", "card")["card"])
 
-    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         message = reset_message(instruction, session)
         _decoded(self.connection.ask(message, "ready", deadline_s=deadline_s), "ready", None)
 
-    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply:
+    def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
         message = act_message(observation)
         entries = _decoded(self.connection.ask(message, "actions", deadline_s=deadline_s), "actions", "actions")
         notes = _notes(entries)
@@ -114,26 +94,40 @@ class PolicyClient(Client):
         self.connection.send(CLOSE, deadline_s=deadline_s)
 
 
+def sha256(message: bytes) -> bytes:
+    return hashlib.sha256(message).digest()
+
+
 def basic_authorization(credentials: str) -> str:
     """Return the value of the header ``Authorization`` for ``USER:PASSWORD``; empty for empty credentials."""
     return f"Basic {base64.b64encode(credentials.encode()).decode()}" if credentials else ""
 
 
+def unpacked(frame: bytes | str, what: str, *, packing: Packing = NATIVE, remedy: str = "") -> object:
+    """Decode an answer. Raises PolicyError ``garbage``, whose message ends with ``remedy``, if it is no message."""
+    if isinstance(frame, str):
+        raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}{remedy}")
+    try:
+        return packing.unpack(frame, max_bytes=MAX_REPLY_BYTES)
+    except ContractError as error:
+        raise PolicyError("garbage", f"{what} {error}{remedy}") from None
+
+
+def reported(reason: object) -> str:
+    """Return the reason that a server gives for an error."""
+    if isinstance(reason, str) and reason.strip():
+        return reason
+    return f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
+
+
 def _decoded(frame: bytes | str, kind: str, field: str | None) -> dict[str, object]:
     """Decode a message that must be of type ``kind`` and have ``field``; a message with actions may also have notes."""
-    if isinstance(frame, str):
-        raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}; {instead(kind)}")
-    try:
-        message = unpack(frame, max_bytes=MAX_REPLY_BYTES)
-    except ContractError as error:
-        raise PolicyError("garbage", f"{kind} {error}; {instead(kind)}") from None
+    message = unpacked(frame, kind, remedy=f"; {instead(kind)}")
     entries = message if is_map(message) else {}
     if entries.get("type") == "error":
-        said, reason = entries.get("kind"), entries.get("message")
-        if not isinstance(reason, str) or not reason.strip():
-            reason = f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"
-        known = said if isinstance(said, str) and said in PolicyError.REPORTED else "exception"
-        raise PolicyError(known, reason, notes=_notes(entries))
+        failure = entries.get("kind")
+        known = failure if isinstance(failure, str) and failure in PolicyError.REPORTED else "exception"
+        raise PolicyError(known, reported(entries.get("message")), notes=_notes(entries))
     wrong = wrong_keys(entries, kind=kind, field=field)
     if wrong is not None:
         got = wrong if entries else f"{message!r:.200}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NoReturn, cast
 
 import numpy as np
@@ -16,75 +17,6 @@ from carecontact.interface.observation import MASK_NAMES, CameraView, Observatio
 from carecontact.interface.policy import CAMERAS, PolicyCard
 from carecontact.interface.robot import ActionBounds, Session
 from carecontact.serving.packing import is_array, is_list, is_map, pack
-
-# Hints for a policy whose card or answer is of a wrong type: what it may have meant, and what to write instead.
-
-OBJECT = "Action(pose_tcp_in_base=[x, y, z, qw, qx, qy, qz])"
-PLAIN = '[{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]'
-CARD = 'PolicyCard(name="my-policy", modalities=("rgb",), cameras=("overhead",))'
-
-
-def object_hint(answer: object) -> str:
-    """Return a hint for what ``act`` returned in Python: a clause after a semicolon; empty if the answer may hold
-    Actions.
-    """
-    if isinstance(answer, Mapping):
-        return f"; return {OBJECT} in place of the dict"
-    if isinstance(answer, list | tuple) and any(isinstance(item, Mapping) for item in cast(list[object], answer)):
-        return f"; return [{OBJECT}, ...] in place of the dicts"
-    shape = _shape(answer)
-    if len(shape) == 1 and shape[0]:
-        return f"{_width(shape[0])}; return {OBJECT}, or Action(joint=...) for joints, in place of bare numbers"
-    if len(shape) == 2:
-        rows = "[Action(pose_tcp_in_base=row) for row in rows]"
-        return f"{_width(shape[1])}; return {rows}, or with joint=row for joints, in place of rows of numbers"
-    return ""
-
-
-def plain_hint(answer: object) -> str:
-    """Return a hint for the ``actions`` of a message: a clause after a semicolon; empty if they may be a list of
-    maps.
-    """
-    if isinstance(answer, Mapping):
-        return f"; put each action into a list, as in {PLAIN}"
-    shape = _shape(answer)
-    if (len(shape) == 1 and shape[0]) or len(shape) == 2:
-        return f"{_width(shape[-1])}; send a map for each action, as in {PLAIN}"
-    return ""
-
-
-def pose_hint(value: object) -> str:
-    """Return a hint for a value in the place of a pose: a clause after a semicolon, or empty."""
-    return pose_shape_hint(_shape(value))
-
-
-def card_hint(card: object) -> str:
-    """Return a hint for a value in the place of a PolicyCard."""
-    if isinstance(card, Mapping):
-        given = cast(Mapping[object, object], card)
-        same = ", ".join(f"{key}={value!r}" for key, value in given.items())
-        return f"write card = PolicyCard({same:.200}) in place of the dict"
-    return f"a policy shows a PolicyCard as its attribute 'card', for example card = {CARD}"
-
-
-def _width(count: int) -> str:
-    """Say what a row of so many numbers may be, if it is neither a pose nor seven joint values."""
-    if count == 8:
-        return "; eight numbers look like seven joints and a gripper: give the last one as gripper"
-    return pose_shape_hint((count,)) if count == 6 else ""
-
-
-def _shape(value: object) -> tuple[int, ...]:
-    """Return the shape of a value that consists of numbers; () for anything else, also for rows of unequal length."""
-    try:
-        array = np.asarray(value)
-    except Exception:
-        # An answer may be of any class, and converting it may raise anything.
-        return ()
-    return array.shape if array.dtype.kind in "fiu" else ()
-
-
-# Converts contract objects to plain values and back. One table says what each field must be, in both directions.
 
 Plain = dict[str, object]
 Shape = tuple[int | str, ...]
@@ -106,6 +38,8 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "landmarks_in_base": ("<f4", (33, 3)),
 }
 """Field -> dtype and shape; equal letters within one camera, and equal words, stand for equal sizes."""
+MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
+ALWAYS_IN_VIEW = ("intrinsics", "pose_camera_in_base")
 MOST_UNKNOWN = 4
 """Most unknown keys of one map that an error message names."""
 VECTORS = {
@@ -114,15 +48,36 @@ VECTORS = {
     "wrench_in_tcp": "a list or array of 6 numbers (force [N], torque [N m]) or None",
 }
 """Fields of an action that are arrays -> what each must be."""
-_ALWAYS = ("pose_tcp_in_base", "stiffness", "gripper", "done")
+ALWAYS = ("pose_tcp_in_base", "stiffness", "gripper", "done")
 """Fields that an encoded action has even if they are None; older clients expect them."""
-_MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
+OBJECT = "Action(pose_tcp_in_base=[x, y, z, qw, qx, qy, qz])"
+PLAIN = '[{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]'
+CARD = 'PolicyCard(name="my-policy", modalities=("rgb",), cameras=("overhead",))'
+"""Examples for error messages: of an action, of what travels in its place, and of a card."""
+
+
+def act_message(observation: Observation) -> bytes:
+    """Return the message of an observation. Raises ObservationError if the observation breaks the contract."""
+    return pack({"type": "act", "observation": encode_observation(observation)})
+
+
+def reset_message(instruction: str, session: Session) -> bytes:
+    return pack({"type": "reset", "instruction": instruction, "session": encode_session(session)})
+
+
+CLOSE = pack({"type": "close"})
+
+
+def observation_sha256(observation: Observation) -> bytes:
+    """Return the digest, 32 bytes, of the message that carries an observation, as recordings keep it.
+
+    Give it to ``Episode`` as ``digest``, so that a loop of your own makes the recording that a trial would make.
+    """
+    return hashlib.sha256(act_message(observation)).digest()
 
 
 def encode_observation(observation: Observation) -> Plain:
-    """Encode an observation. Raises ObservationError if a field does not fit its row in the table, or a mask or camera
-    has an unknown name.
-    """
+    """Encode an observation. Raises ObservationError for a field that does not fit its row, and for an unknown name."""
     plain = _fields(observation, Observation, ObservationError)
     plain["cameras"] = {
         name: _fields(observation.cameras[name], CameraView, ObservationError) for name in sorted(observation.cameras)
@@ -133,41 +88,26 @@ def encode_observation(observation: Observation) -> Plain:
 
 def decode_observation(plain: object) -> Observation:
     """Decode an observation. Raises ObservationError naming the field, what was expected and what came instead."""
-    entries = _known(plain, Observation, "observation", ObservationError)
+    entries = _Value(plain, "observation", ObservationError).fields(Observation)
     sizes: dict[str, int] = {}
-    for name, row in OBSERVATION_ARRAYS.items():
-        _check_array(entries[name], row, f"observation.{name}", sizes)
-    instruction = entries["instruction"]
-    if not isinstance(instruction, str):
-        _wrong(ObservationError, "observation.instruction", "text", instruction)
-    time_s = _number(entries["sim_time_s"], "observation.sim_time_s", ObservationError)
-    cameras = entries["cameras"]
-    if not is_map(cameras):
-        _wrong(ObservationError, "observation.cameras", "a map", cameras)
-    views: dict[str, CameraView] = {}
-    for name, view in cameras.items():
-        if name not in CAMERAS:
-            raise ObservationError(f"observation.cameras: no camera {name!r}; valid: {', '.join(CAMERAS)}")
-        views[name] = _decode_camera(view, f"observation.cameras.{name}")
-    arrays = {name: entries[name] for name in OBSERVATION_ARRAYS}
-    return Observation(instruction=instruction, sim_time_s=time_s, cameras=views, **cast(dict[str, Any], arrays))
+    arrays = {name: entries[name].array(row, sizes) for name, row in OBSERVATION_ARRAYS.items()}
+    return Observation(
+        instruction=entries["instruction"].text(),
+        sim_time_s=entries["sim_time_s"].number(),
+        cameras={name: _camera(view) for name, view in entries["cameras"].named(CAMERAS, "camera").items()},
+        **arrays,
+    )
 
 
-def _decode_camera(plain: object, place: str) -> CameraView:
-    entries = _known(plain, CameraView, place, ObservationError)
-    sizes: dict[str, int] = {}
-    for name, row in CAMERA_ARRAYS.items():
-        if entries[name] is not None or name in ("intrinsics", "pose_camera_in_base"):
-            _check_array(entries[name], row, f"{place}.{name}", sizes)
-    masks = entries["masks"]
-    if masks is not None:
-        if not is_map(masks):
-            _wrong(ObservationError, f"{place}.masks", "a map or None", masks)
-        for name, mask in masks.items():
-            if name not in MASK_NAMES:
-                raise ObservationError(f"{place}.masks: no mask {name!r}; valid: {', '.join(MASK_NAMES)}")
-            _check_array(mask, _MASK, f"{place}.masks.{name}", sizes)
-    return CameraView(**cast(dict[str, Any], entries))
+def _camera(view: _Value) -> CameraView:
+    entries, sizes = view.fields(CameraView), dict[str, int]()
+    given = [name for name in CAMERA_ARRAYS if name in ALWAYS_IN_VIEW or entries[name].value is not None]
+    arrays = {name: entries[name].array(CAMERA_ARRAYS[name], sizes) for name in given}
+    masks = None
+    if entries["masks"].value is not None:
+        named = entries["masks"].named(MASK_NAMES, "mask")
+        masks = {name: mask.array(MASK, sizes) for name, mask in named.items()}
+    return CameraView(masks=masks, **arrays)
 
 
 def encode_actions(answer: object) -> list[object]:
@@ -176,10 +116,9 @@ def encode_actions(answer: object) -> list[object]:
     Raises ActionError when it is neither, or when a field is of a wrong type.
     """
     actions: object = [answer] if isinstance(answer, Action) else answer
-    if not isinstance(actions, list | tuple):
-        _wrong(ActionError, "act", "an Action or a list of Actions", actions, hint=object_hint(actions))
-    if hint := object_hint(actions):
-        _wrong(ActionError, "act", "an Action or a list of Actions", actions, hint=hint)
+    hint = _object_hint(actions)
+    if hint or not isinstance(actions, list | tuple):
+        _Value(actions, "act", ActionError).refuse("an Action or a list of Actions", hint=hint)
     plain = plain_actions(cast(Sequence[object], actions))
     decode_actions(plain)
     return plain
@@ -191,24 +130,18 @@ def plain_actions(actions: Sequence[object]) -> list[object]:
     for i, action in enumerate(actions):
         entries = _fields(action, Action, ActionError, place=f"act[{i}]")
         # Unused fields are left out: chunks are long, and most consist of poses only.
-        entries = {name: value for name, value in entries.items() if value is not None or name in _ALWAYS}
+        entries = {name: value for name, value in entries.items() if value is not None or name in ALWAYS}
         for name, expected in VECTORS.items():
-            if entries.get(name) is not None:
-                entries[name] = _vector(entries[name], f"act[{i}].{name}", expected)
+            if (value := entries.get(name)) is not None:
+                with suppress(ValueError):
+                    value = np.asarray(value)
+                if not is_array(value) or value.dtype.kind not in "fiu":
+                    _Value(value, f"act[{i}].{name}", ActionError).refuse(expected)
+                entries[name] = value.astype(np.float64)
         if isinstance(entries["stiffness"], tuple):
             entries["stiffness"] = list(cast(tuple[object, ...], entries["stiffness"]))
         plain.append(entries)
     return plain
-
-
-def _vector(value: object, place: str, expected: str) -> npt.NDArray[np.float64]:
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        _wrong(ActionError, place, expected, value)
-    if array.dtype.kind not in "fiu":
-        _wrong(ActionError, place, expected, array)
-    return array.astype(np.float64)
 
 
 def decode_actions(plain: object) -> list[Action]:
@@ -216,50 +149,38 @@ def decode_actions(plain: object) -> list[Action]:
 
     Raises ActionError naming index and field, what was expected and what came instead.
     """
-    hint = plain_hint(plain)
+    hint = _plain_hint(plain)
     if hint or not is_list(plain):
-        _wrong(ActionError, "actions", "a list of maps", plain, hint=hint)
+        _Value(plain, "actions", ActionError).refuse("a list of maps", hint=hint)
     if not 1 <= len(plain) <= MAX_CHUNK:
         raise ActionError(f"actions: expected 1 to {MAX_CHUNK} actions, got {len(plain)}")
-    return [_decode_action(item, f"actions[{i}]") for i, item in enumerate(plain)]
+    return [_action(_Value(item, f"actions[{i}]", ActionError).fields(Action)) for i, item in enumerate(plain)]
 
 
-def _decode_action(plain: object, place: str) -> Action:
-    entries = _known(plain, Action, place, ActionError)
-    vectors = {
-        name: None if entries[name] is None else _numeric_array(entries[name], f"{place}.{name}", expected)
-        for name, expected in VECTORS.items()
-    }
-    given = entries["stiffness"]
-    stiffness: tuple[float, ...] | None = None
-    if given is not None:
-        if not is_list(given) or len(given) not in (2, 6):
-            _wrong(ActionError, f"{place}.stiffness", "(translational, rotational), six numbers or None", given)
-        stiffness = tuple(_number(v, f"{place}.stiffness[{i}]", ActionError) for i, v in enumerate(given))
-    scalars = {
-        name: None if entries[name] is None else _number(entries[name], f"{place}.{name}", ActionError)
-        for name in ("damping_ratio", "gripper")
-    }
-    if type(entries["done"]) is not bool:
-        _wrong(ActionError, f"{place}.done", "True or False", entries["done"])
-    return Action(**cast(dict[str, Any], {**vectors, **scalars}), stiffness=stiffness, done=entries["done"])
-
-
-def _numeric_array(value: object, place: str, expected: str) -> npt.NDArray[np.float64]:
-    """Return an array of the wire, or a plain list of numbers as clients in other languages send it, as an array."""
-    if is_list(value) and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
-        return np.array(value, np.float64)
-    if not is_array(value) or value.dtype.kind not in "fiu":
-        hint = pose_hint(value) if place.endswith(".pose_tcp_in_base") else ""
-        _wrong(ActionError, place, expected, value, hint=hint)
-    return value
+def _action(entries: dict[str, _Value]) -> Action:
+    given = {name: entry for name, entry in entries.items() if entry.value is not None}
+    vectors = {name: given[name].vector(expected) for name, expected in VECTORS.items() if name in given}
+    scalars = {name: given[name].number() for name in ("damping_ratio", "gripper") if name in given}
+    stiffness = None
+    if "stiffness" in given:
+        items = given["stiffness"].items()
+        if len(items) not in (2, 6):
+            given["stiffness"].refuse("(translational, rotational), six numbers or None")
+        stiffness = tuple(item.number() for item in items)
+    done = entries["done"].value
+    if not isinstance(done, bool):
+        entries["done"].refuse("True or False")
+    return Action(**cast(dict[str, Any], {**vectors, **scalars}), stiffness=stiffness, done=done)
 
 
 def encode_card(card: object) -> Plain:
     """Encode a card. Raises PolicyError ``handshake`` if it is no valid PolicyCard."""
     if not isinstance(card, PolicyCard):
-        said = f"card: expected a PolicyCard, got {type(card).__name__} {card!r:.80}"
-        raise PolicyError("handshake", f"{said}; {card_hint(card)}")
+        hint = f"; a policy shows a PolicyCard as its attribute 'card', for example card = {CARD}"
+        if isinstance(card, Mapping):
+            same = ", ".join(f"{key}={value!r}" for key, value in cast(Mapping[object, object], card).items())
+            hint = f"; write card = PolicyCard({same:.200}) in place of the dict"
+        raise PolicyError("handshake", f"card: expected a PolicyCard, got {type(card).__name__} {card!r:.80}{hint}")
     plain = card.plain()
     decode_card(plain)
     return plain
@@ -268,20 +189,19 @@ def encode_card(card: object) -> Plain:
 def decode_card(plain: object) -> PolicyCard:
     """Decode a card. Raises PolicyError ``handshake`` naming the field, what was expected and what came instead."""
     try:
-        entries = _known({"arguments": {}, **plain} if is_map(plain) else plain, PolicyCard, "card", ContractError)
-        for name in ("name", "action_space", "control", "language_backend", "out_of_bounds"):
-            if not isinstance(entries[name], str):
-                _wrong(ContractError, f"card.{name}", "text", entries[name])
-        for name in ("modalities", "cameras", "environment"):
-            names = entries[name]
-            if not is_list(names) or not all(isinstance(n, str) for n in names):
-                _wrong(ContractError, f"card.{name}", "a list of names", names)
-            entries[name] = tuple(names)
-        arguments = entries["arguments"]
+        with_arguments = {"arguments": {}, **plain} if is_map(plain) else plain
+        entries = _Value(with_arguments, "card", ContractError).fields(PolicyCard)
+        texts = ("name", "action_space", "control", "language_backend", "out_of_bounds")
+        names = ("modalities", "cameras", "environment")
+        arguments = entries["arguments"].value
         if not is_map(arguments) or not all(isinstance(text, str) for text in arguments.values()):
-            _wrong(ContractError, "card.arguments", "a map of names to texts", arguments)
-        entries["control_hz"] = _number(entries["control_hz"], "card.control_hz", ContractError)
-        return PolicyCard(**cast(dict[str, Any], entries))
+            entries["arguments"].refuse("a map of names to texts")
+        return PolicyCard(
+            **cast(dict[str, Any], {name: entries[name].text() for name in texts}),
+            **cast(dict[str, Any], {name: entries[name].names() for name in names}),
+            arguments=cast(dict[str, str], arguments),
+            control_hz=entries["control_hz"].number(),
+        )
     except ContractError as error:
         raise PolicyError("handshake", str(error)) from None
 
@@ -295,125 +215,171 @@ def encode_session(session: Session) -> Plain:
 
 def decode_session(plain: object) -> Session:
     """Decode a session. Raises ContractError naming the field, what was expected and what came instead."""
-    entries = _known(plain, Session, "session", ContractError)
-    bounds = _known(entries["action_bounds"], ActionBounds, "session.action_bounds", ContractError)
-    lengths = {name: 3 if name.startswith("workspace") else 2 for name in bounds}
-    limits = {n: _numbers(bounds[n], lengths[n], f"session.action_bounds.{n}") for n in bounds}
-    sizes = entries["camera_sizes_px"]
-    if not is_map(sizes):
-        _wrong(ContractError, "session.camera_sizes_px", "a map", sizes)
-    cameras: dict[str, tuple[int, int]] = {}
-    for name, size in sizes.items():
-        if name not in CAMERAS:
-            raise ContractError(f"session.camera_sizes_px: no camera {name!r}; valid: {', '.join(CAMERAS)}")
-        width, height = _numbers(size, 2, f"session.camera_sizes_px.{name}")
+    entries = _Value(plain, "session", ContractError).fields(Session)
+    limits = entries["action_bounds"].fields(ActionBounds)
+    bounds = {name: limit.numbers(3 if "workspace" in name else 2) for name, limit in limits.items()}
+    sizes: dict[str, tuple[int, int]] = {}
+    for name, size in entries["camera_sizes_px"].named(CAMERAS, "camera").items():
+        width, height = size.numbers(2)
         if not (width.is_integer() and height.is_integer()):
-            _wrong(ContractError, f"session.camera_sizes_px.{name}", "whole pixels", size)
-        cameras[name] = (int(width), int(height))
-    low = _numbers(entries["joint_low_rad"], None, "session.joint_low_rad")
+            size.refuse("whole pixels")
+        sizes[name] = (int(width), int(height))
+    low = entries["joint_low_rad"].numbers(None)
     return Session(
-        action_bounds=ActionBounds(**cast(dict[str, Any], limits)),
+        action_bounds=ActionBounds(**cast(dict[str, Any], bounds)),
         joint_low_rad=low,
-        joint_high_rad=_numbers(entries["joint_high_rad"], len(low), "session.joint_high_rad"),
-        camera_sizes_px=cameras,
-        time_limit_s=_number(entries["time_limit_s"], "session.time_limit_s", ContractError),
+        joint_high_rad=entries["joint_high_rad"].numbers(len(low)),
+        camera_sizes_px=sizes,
+        time_limit_s=entries["time_limit_s"].number(),
     )
 
 
 def _fields(value: object, kind: type[Any], error: type[ContractError], *, place: str = "") -> Plain:
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AO" else "a"
-        _wrong(error, place or kind.__name__, f"{article} {kind.__name__}", value)
+        _Value(value, place or kind.__name__, error).refuse(f"{article} {kind.__name__}")
     return {f.name: getattr(value, f.name) for f in dataclasses.fields(kind)}
 
 
-def _known(plain: object, kind: type[Any], place: str, error: type[ContractError]) -> Plain:
-    """Return a copy of a map that has every field of ``kind`` and no other key; fields with a plain default may be
-    absent.
-    """
-    if not is_map(plain):
-        _wrong(error, place, "a map", plain)
-    fields = {f.name: f for f in dataclasses.fields(kind)}
-    unknown = sorted(set(plain) - set(fields))
-    if unknown:
-        named = ", ".join(f"{key:.80}{did_you_mean(key, fields)}" for key in unknown[:MOST_UNKNOWN])
-        raise error(f"{place}: unknown key {named}; valid: {', '.join(fields)}")
-    out: Plain = {}
-    for name, field in fields.items():
-        if name in plain:
-            out[name] = plain[name]
-        elif field.default is not dataclasses.MISSING:
-            default = field.default
-            out[name] = list(cast(tuple[object, ...], default)) if isinstance(default, tuple) else default
-        else:
-            raise error(f"{place}: expected the key {name}, got {', '.join(sorted(plain)) or 'none':.200}")
-    return out
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Value:
+    """A value of a message with its place there. Every method raises ``error`` for a value of another type."""
+
+    value: object
+    place: str
+    error: type[ContractError]
+
+    def refuse(self, expected: str, *, hint: str = "") -> NoReturn:
+        """``hint``: what to send instead, as a clause after a semicolon."""
+        shown = f"{type(self.value).__name__} {' '.join(repr(self.value).split()):.80}"
+        if is_array(self.value):
+            shown = f"an array {self.value.dtype} {self.value.shape}"
+        raise self.error(f"{self.place}: expected {expected}, got {shown}{hint}")
+
+    def fields(self, kind: type[Any]) -> dict[str, _Value]:
+        """Return the entries of a map of the fields of ``kind``; those with a plain default may be absent."""
+        if not is_map(self.value):
+            self.refuse("a map")
+        fields = {field.name: field.default for field in dataclasses.fields(kind)}
+        if unknown := sorted(self.value.keys() - fields.keys()):
+            named = ", ".join(f"{key:.80}{did_you_mean(key, fields)}" for key in unknown[:MOST_UNKNOWN])
+            raise self.error(f"{self.place}: unknown key {named}; valid: {', '.join(fields)}")
+        for name, default in fields.items():
+            if name not in self.value and default is dataclasses.MISSING:
+                keys = ", ".join(sorted(self.value)) or "none"
+                raise self.error(f"{self.place}: expected the key {name}, got {keys:.200}")
+        entries = {**fields, **self.value}
+        return {name: _Value(entries[name], f"{self.place}.{name}", self.error) for name in fields}
+
+    def named(self, valid: Sequence[str], kind: str) -> dict[str, _Value]:
+        """Return the entries of a map whose keys are names out of ``valid``."""
+        if not is_map(self.value):
+            self.refuse("a map")
+        for name in self.value:
+            if name not in valid:
+                raise self.error(f"{self.place}: no {kind} {name!r}; valid: {', '.join(valid)}")
+        return {name: _Value(value, f"{self.place}.{name}", self.error) for name, value in self.value.items()}
+
+    def items(self) -> list[_Value]:
+        """Return the entries of a list; none for anything else."""
+        entries = self.value if is_list(self.value) else []
+        return [_Value(entry, f"{self.place}[{i}]", self.error) for i, entry in enumerate(entries)]
+
+    def text(self) -> str:
+        return self.value if isinstance(self.value, str) else self.refuse("text")
+
+    def names(self) -> tuple[str, ...]:
+        """Return a list of texts, or the default of such a field."""
+        names = list(cast(tuple[object, ...], self.value)) if isinstance(self.value, tuple) else self.value
+        if not is_list(names) or not all(isinstance(n, str) for n in names):
+            self.refuse("a list of names")
+        return tuple(cast(list[str], names))
+
+    def number(self) -> float:
+        value = self.value
+        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+            self.refuse("a number")
+        try:
+            return float(cast(float, value))
+        except OverflowError:
+            raise self.error(f"{self.place}: expected a number, got one too large for 64 bits") from None
+
+    def numbers(self, count: int | None) -> tuple[float, ...]:
+        """Return ``count`` finite numbers, or any: a tuple when encoding, a list when decoding."""
+        items: object = list(cast(tuple[object, ...], self.value)) if isinstance(self.value, tuple) else self.value
+        many = "" if count is None else f"{count} "
+        if not is_list(items) or (count is not None and len(items) != count):
+            self.refuse(f"{many}numbers")
+        numbers = tuple(_Value(item, self.place, self.error).number() for item in items)
+        return numbers if np.isfinite(numbers).all() else self.refuse(f"{many}finite numbers")
+
+    def array(self, row: tuple[str, Shape], sizes: dict[str, int]) -> Any:
+        """Return an array of the dtype and shape of the row; ``sizes`` are those of its letters and words so far."""
+        (dtype, shape), value = row, self.value
+        expected = f"{np.dtype(dtype).name} ({', '.join(map(str, shape))})"
+        if not is_array(value):
+            self.refuse(expected)
+        fits = value.dtype == np.dtype(dtype) and value.ndim == len(shape)
+        if not fits or any(
+            got != (want if isinstance(want, int) else sizes.setdefault(want, got))
+            for want, got in zip(shape, value.shape, strict=True)
+        ):
+            where = f" with {sizes}" if sizes else ""
+            raise self.error(f"{self.place}: expected {expected}{where}, got {value.dtype.name} {value.shape}")
+        return value
+
+    def vector(self, expected: str) -> npt.NDArray[np.float64]:
+        """Return an array of numbers, or a plain list of them, as clients in other languages send it, as an array."""
+        value = self.value
+        if is_list(value) and not any(isinstance(v, bool) or not isinstance(v, int | float) for v in value):
+            return np.array(value, np.float64)
+        if not is_array(value) or value.dtype.kind not in "fiu":
+            self.refuse(
+                expected, hint=pose_shape_hint(_shape(value)) if self.place.endswith(".pose_tcp_in_base") else ""
+            )
+        return value
 
 
-def _check_array(value: object, row: tuple[str, Shape], place: str, sizes: dict[str, int]) -> None:
-    dtype, shape = row
-    expected = f"{np.dtype(dtype).name} ({', '.join(map(str, shape))})"
-    if not is_array(value):
-        _wrong(ObservationError, place, expected, value)
-    fits = value.dtype == np.dtype(dtype) and value.ndim == len(shape)
-    if not fits or any(
-        got != (want if isinstance(want, int) else sizes.setdefault(want, got))
-        for want, got in zip(shape, value.shape, strict=True)
-    ):
-        where = f" with {sizes}" if sizes else ""
-        raise ObservationError(f"{place}: expected {expected}{where}, got {value.dtype.name} {value.shape}")
+# What a wrong answer may mean, and what to write instead: clauses after a semicolon, or nothing.
 
 
-def _number(value: object, place: str, error: type[ContractError]) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        _wrong(error, place, "a number", cast(object, value))
+def _object_hint(answer: object) -> str:
+    """Hint for what ``act`` returned in Python; empty if the answer may hold Actions."""
+    if isinstance(answer, Mapping):
+        return f"; return {OBJECT} in place of the dict"
+    if isinstance(answer, list | tuple) and any(isinstance(item, Mapping) for item in cast(list[object], answer)):
+        return f"; return [{OBJECT}, ...] in place of the dicts"
+    shape = _shape(answer)
+    if len(shape) == 1 and shape[0]:
+        return f"{_width_hint(shape[0])}; return {OBJECT}, or Action(joint=...) for joints, in place of bare numbers"
+    if len(shape) == 2:
+        rows = "[Action(pose_tcp_in_base=row) for row in rows]"
+        return f"{_width_hint(shape[1])}; return {rows}, or with joint=row for joints, in place of rows of numbers"
+    return ""
+
+
+def _plain_hint(answer: object) -> str:
+    """Hint for the ``actions`` of a message; empty if they may be a list of maps."""
+    if isinstance(answer, Mapping):
+        return f"; put each action into a list, as in {PLAIN}"
+    shape = _shape(answer)
+    if (len(shape) == 1 and shape[0]) or len(shape) == 2:
+        return f"{_width_hint(shape[-1])}; send a map for each action, as in {PLAIN}"
+    return ""
+
+
+def _width_hint(count: int) -> str:
+    """Hint for a row of so many numbers, if it is neither a pose nor seven joint values."""
+    if count == 8:
+        return "; eight numbers look like seven joints and a gripper: give the last one as gripper"
+    return pose_shape_hint((count,)) if count == 6 else ""
+
+
+def _shape(value: object) -> tuple[int, ...]:
+    """Return the shape of a value that consists of numbers; () for anything else, also for rows of unequal length."""
     try:
-        return float(cast(float, value))
-    except OverflowError:
-        raise error(f"{place}: expected a number, got one too large for 64 bits") from None
-
-
-def _numbers(value: object, count: int | None, place: str) -> tuple[float, ...]:
-    """Return a value as ``count`` numbers, or any. ``value``: a tuple when encoding, a list when decoding."""
-    items: object = list(cast(tuple[object, ...], value)) if isinstance(value, tuple) else value
-    many = "" if count is None else f"{count} "
-    if not is_list(items) or (count is not None and len(items) != count):
-        _wrong(ContractError, place, f"{many}numbers", items)
-    numbers = tuple(_number(v, place, ContractError) for v in items)
-    if not np.isfinite(numbers).all():
-        _wrong(ContractError, place, f"{many}finite numbers", items)
-    return numbers
-
-
-def _wrong(error: type[ContractError], place: str, expected: str, got: object, *, hint: str = "") -> NoReturn:
-    """Raise ``error`` for a wrong value. ``hint``: what to send instead, as a clause after a semicolon."""
-    said = f"an array {got.dtype} {got.shape}" if is_array(got) else f"{type(got).__name__} {_in_one_line(got)}"
-    raise error(f"{place}: expected {expected}, got {said}{hint}")
-
-
-def _in_one_line(value: object) -> str:
-    return f"{' '.join(repr(value).split()):.80}"
-
-
-# The messages that the harness sends.
-
-CLOSE = pack({"type": "close"})
-
-
-def reset_message(instruction: str, session: Session) -> bytes:
-    return pack({"type": "reset", "instruction": instruction, "session": encode_session(session)})
-
-
-def act_message(observation: Observation) -> bytes:
-    """Return the message that carries an observation. Raises ObservationError if the observation breaks the
-    contract.
-    """
-    return pack({"type": "act", "observation": encode_observation(observation)})
-
-
-def observation_sha256(observation: Observation) -> bytes:
-    """Return the digest, 32 bytes, of the message that carries an observation, as recordings keep it.
-
-    Give it to ``Episode`` as ``digest``, so that a loop of your own makes the recording that a trial would make.
-    """
-    return hashlib.sha256(act_message(observation)).digest()
+        array = np.asarray(value)
+    except Exception:
+        # An answer may be of any class, and converting it may raise anything.
+        return ()
+    return array.shape if array.dtype.kind in "fiu" else ()

@@ -18,21 +18,29 @@ from carecontact.errors import ExhaustedError, LostError, PolicyError, Unreachab
 from carecontact.serving.packing import MAX_REPLY_BYTES
 from carecontact.system import is_exhausted
 
-# Error messages about a message or connection that the wire does not allow, with what to send instead.
-
 EXAMPLES = {
     "card": '{"type": "card", "card": {"name": "my-policy", "modalities": ["rgb"], "cameras": ["overhead"]}}',
     "ready": '{"type": "ready"}',
     "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
 }
 """Kind of message -> an example that a policy's server may send instead; docs/wire.md describes every message."""
-LATE = {"card": "; a server sends its card first, unasked; if it serves one trial at a time, run with --jobs 1"}
-"""Kind of message that did not come -> what may help."""
+LATE = "; a server sends its card first, unasked; if it serves one trial at a time, run with --jobs 1"
+"""What may help if no card comes."""
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA, INTERNAL_ERROR = 1009, 1002, 1007, 1011
 GOING_AWAY, RESTART, TRY_AGAIN = 1001, 1012, 1013
 """Close codes of RFC 6455, section 7.4.1, and of IANA's registry of them."""
 PROXY_ALONE = (502, 503, 504)
 """Statuses of HTTP: bad gateway, service unavailable, gateway timeout."""
+
+
+CLOSE_S = 1.0
+"""Time [s] for closing a connection, in addition to the deadline of the call that failed."""
+MAX_UNREAD_FRAMES = 1
+"""If more frames than this are unread, nothing more is read from the line. A peer that sends many of the largest frames
+can therefore fill the memory of about four of them; a peer that answers requests sends one frame at a time."""
+_UNHEARD = logging.getLogger(__name__)
+"""A logger without readers, for the tracebacks that websockets logs about a line that was cut."""
+_UNHEARD.addHandler(logging.NullHandler())
 
 
 def instead(kind: str) -> str:
@@ -42,32 +50,36 @@ def instead(kind: str) -> str:
 
 def wrong_keys(entries: Mapping[str, object], *, kind: str, field: str | None) -> str | None:
     """Return what is wrong with the keys of a message of type ``kind`` with one field; None if nothing is."""
-    wanted = {"type"} | ({field} if field else set[str]())
+    wanted = {"type", *filter(None, [field])}
     allowed = wanted | ({"notes"} if kind == "actions" else set[str]())
     unknown, missing = sorted(entries.keys() - allowed), sorted(wanted - entries.keys())
     if not unknown and not missing and entries["type"] == kind:
         return None
-    unknown = [f"{name:.80}{did_you_mean(name, allowed)}" for name in unknown]
-    keys = [f"{what} {', '.join(names)}" for what, names in (("unknown key", unknown), ("missing", missing)) if names]
-    return "; ".join([f"type {entries.get('type')!r}", *keys])
+    parts = [f"type {entries.get('type')!r}"]
+    if unknown:
+        parts.append(f"unknown key {', '.join(f'{name:.80}{did_you_mean(name, allowed)}' for name in unknown)}")
+    if missing:
+        parts.append(f"missing {', '.join(missing)}")
+    return "; ".join(parts)
 
 
 def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
-    """Return why a call failed: a LostError where the server did not say so, or said that it starts anew.
+    """Return why a call failed: a LostError where the server gave no reason, or is about to restart.
 
     Args:
         error: ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call.
         sent_bytes: length of the last message to the policy.
     """
-    sent = error.sent if isinstance(error, ConnectionClosed) else None
-    received = error.rcvd if isinstance(error, ConnectionClosed) else None
-    if received is not None and isinstance(error, ConnectionClosed) and error.rcvd_then_sent is not False:
-        failure = LostError if received.code in (GOING_AWAY, RESTART, TRY_AGAIN) else PolicyError
-        return failure("oversize" if received.code == MESSAGE_TOO_BIG else "died", _refused(received.code, sent_bytes))
-    if sent is not None and sent.code == MESSAGE_TOO_BIG:
-        return PolicyError("oversize", f"expected a reply of at most {MAX_REPLY_BYTES} bytes, got a longer one")
-    if sent is not None and sent.code in (PROTOCOL_ERROR, INVALID_DATA):
-        return PolicyError("garbage", f"the reply is not WebSocket: {sent.reason}")
+    if isinstance(error, ConnectionClosed):
+        sent, received = error.sent, error.rcvd
+        if received is not None and error.rcvd_then_sent is not False:
+            failure = LostError if received.code in (GOING_AWAY, RESTART, TRY_AGAIN) else PolicyError
+            kind = "oversize" if received.code == MESSAGE_TOO_BIG else "died"
+            return failure(kind, _refused(received.code, sent_bytes))
+        if sent is not None and sent.code == MESSAGE_TOO_BIG:
+            return PolicyError("oversize", f"expected a reply of at most {MAX_REPLY_BYTES} bytes, got a longer one")
+        if sent is not None and sent.code in (PROTOCOL_ERROR, INVALID_DATA):
+            return PolicyError("garbage", f"the reply is not WebSocket: {sent.reason}")
     return LostError("died", "the connection closed without an answer")
 
 
@@ -99,18 +111,6 @@ def _refused(code: int, sent_bytes: int) -> str:
     return f"the policy's server closed the connection without an answer (close code {code})"
 
 
-# A WebSocket to a policy's server: connecting, sending with a deadline, receiving one bounded frame, closing.
-
-CLOSE_S = 1.0
-"""Time [s] for closing a connection, in addition to the deadline of the call that failed."""
-MAX_UNREAD_FRAMES = 1
-"""If more frames than this are unread, nothing more is read from the line. A peer that sends many of the largest frames
-can therefore fill the memory of about four of them; a peer that answers requests sends one frame at a time."""
-_UNHEARD = logging.getLogger(__name__)
-"""A logger that nobody reads, for the tracebacks that websockets logs about a line that was cut."""
-_UNHEARD.addHandler(logging.NullHandler())
-
-
 class Connection:
     """The WebSocket below every dialect. It handles frames and deadlines without knowing their meaning."""
 
@@ -118,13 +118,12 @@ class Connection:
     """Called with every message that has been sent; the audit uses it."""
     on_received: Callable[[bytes | str], None] | None = None
     """Called with every awaited frame before it is decoded."""
-    _sent_bytes = 0
-    """Length of the last message."""
 
     def __init__(self, websocket: ClientConnection, deadline: Deadline) -> None:
         """``websocket``: open, with MAX_REPLY_BYTES as its limit, without pings and compression."""
         self._websocket, self._deadline = websocket, deadline
         self._stack = ExitStack()
+        self._sent_bytes = 0
 
     @classmethod
     def open(
@@ -159,7 +158,6 @@ class Connection:
         except OSError as error:
             raise UnreachableError("start", f"no connection to {place}: {error.strerror or error}") from None
         sock.settimeout(None)
-        stack = ExitStack()
         try:
             deadline = Deadline(sock)
         except RuntimeError as error:
@@ -167,19 +165,11 @@ class Connection:
             raise ExhaustedError(f"no thread for the connection to {place}: {error}") from None
         with deadline.within(until - time.monotonic()):
             try:
-                opening = connect(
-                    f"ws://{place}{path}",
-                    sock=sock,
-                    additional_headers={"Authorization": authorization} if authorization else None,
-                    compression=None,
-                    ping_interval=None,
-                    logger=_UNHEARD,
-                    max_size=MAX_REPLY_BYTES,
-                    max_queue=MAX_UNREAD_FRAMES,
-                    open_timeout=max(until - time.monotonic(), 0.0),
-                    close_timeout=CLOSE_S,
-                )
-                connection = cls(stack.enter_context(opening), deadline)
+                with ExitStack() as stack:
+                    opened = stack.enter_context(_opened(f"ws://{place}{path}", sock, authorization, until))
+                    connection = cls(opened, deadline)
+                    connection._stack = stack.pop_all()
+                    return connection
             except Exception as error:
                 deadline.end()
                 if isinstance(error, TimeoutError) or deadline.expired:
@@ -191,12 +181,10 @@ class Connection:
                 if gone := absent(error):
                     raise UnreachableError("start", f"no policy server answers at {place}: {gone}") from None
                 # Beside its own classes websockets raises AssertionError for some bytes that are not HTTP.
-                told = f"{type(error).__name__}: {error}"
+                why = f"{type(error).__name__}: {error}"
                 raise PolicyError(
-                    "handshake", f"the WebSocket handshake with the policy server failed: {told:.300}"
+                    "handshake", f"the WebSocket handshake with the policy server failed: {why:.300}"
                 ) from None
-        connection._stack = stack
-        return connection
 
     def waiting(self, *, deadline_s: float = CLOSE_S) -> bytes | str | None:
         """Return a frame that has already come; None if there is none."""
@@ -208,13 +196,9 @@ class Connection:
             return None
 
     def expect_silence(self, *, deadline_s: float = CLOSE_S) -> None:
-        """Raise PolicyError if a frame has already come: an answer before its request would count for an observation
-        that the policy has not seen.
-        """
-        frame = self.waiting(deadline_s=deadline_s)
-        if frame is None:
-            return
-        raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
+        """Raise PolicyError if a frame has already come: it would answer an observation that was not sent yet."""
+        if (frame := self.waiting(deadline_s=deadline_s)) is not None:
+            raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
 
     def send(self, message: bytes, *, deadline_s: float) -> None:
         """Send a message. A peer that does not read could block this forever; at the deadline, closing our end of the
@@ -238,8 +222,7 @@ class Connection:
             what: name of the awaited message.
             late: what to append to the error message if no frame comes.
 
-        Raises:
-            PolicyError: ``timeout``, ``oversize``, ``garbage`` or ``died``.
+        Raises PolicyError ``timeout``, ``oversize``, ``garbage`` or ``died``.
         """
         deadline_s = max(deadline_s, 0.0)
         with self._deadline.within(deadline_s) as deadline:
@@ -274,6 +257,21 @@ class Connection:
                 self._stack.close()
         finally:
             self._deadline.end()
+
+
+def _opened(uri: str, sock: socket.socket, authorization: str, until: float) -> ClientConnection:
+    return connect(
+        uri,
+        sock=sock,
+        additional_headers={"Authorization": authorization} if authorization else None,
+        compression=None,
+        ping_interval=None,
+        logger=_UNHEARD,
+        max_size=MAX_REPLY_BYTES,
+        max_queue=MAX_UNREAD_FRAMES,
+        open_timeout=max(until - time.monotonic(), 0.0),
+        close_timeout=CLOSE_S,
+    )
 
 
 class Deadline:

@@ -6,16 +6,27 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from carecontact.errors import ActionError
+from carecontact.errors import ActionError, ObservationError
 from carecontact.interface.action import MAX_CHUNK, Action
+from carecontact.interface.observation import U8, Observation
 from carecontact.serving.packing import is_array
-
-# Pictures as the clients of openpi and RoboArena send them.
-
-U8 = npt.NDArray[np.uint8]
 
 CAPTURED_HW = (288, 512)
 """Height and width [px] to which RoboArena's client first resizes every captured picture."""
+JOINTS = 7
+WIDTH = JOINTS + 1
+"""Seven joints and the gripper."""
+GRIPPER_SLACK = 0.5
+"""How far a gripper command may lie outside 0 to 1. The output of a network exceeds this range by some hundredths; the
+other conventions, -1 to 1 and 0 to 255, exceed it by more than this."""
+
+
+def picture_of(observation: Observation, camera: str) -> U8:
+    """Return a camera's picture (H, W, 3), cut to 16:9. Raises ObservationError if there is none."""
+    view = observation.cameras.get(camera)
+    if view is None or view.rgb is None:
+        raise ObservationError(f"observation.cameras.{camera}.rgb: expected a picture, got none")
+    return cropped_16_9(view.rgb)
 
 
 def cropped_16_9(image: U8) -> U8:
@@ -57,16 +68,6 @@ def _resized(image: U8, hw: tuple[int, int], method: Image.Resampling) -> U8:
     return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((hw[1], hw[0]), resample=method))
 
 
-# Turns the array that a server answers into joint actions. All of it is checked; gripper commands are ignored.
-
-JOINTS = 7
-WIDTH = JOINTS + 1
-"""Seven joints and the gripper."""
-GRIPPER_SLACK = 0.5
-"""How far a gripper command may lie outside 0 to 1. The output of a network exceeds this range by some hundredths; the
-other conventions, -1 to 1 and 0 to 255, exceed it by more than this."""
-
-
 def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool = True) -> list[Action]:
     """Return the actions to execute, in the order of the chunk.
 
@@ -77,42 +78,38 @@ def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool
         grips: whether the gripper command has to be 0 (open) to 1 (closed).
         space: the action space. Velocities are clipped to [-1, 1], as the clients of openpi and RoboArena do.
 
-    Raises:
-        ActionError: the chunk is not such an array; the message says what was expected and what may help.
+    Raises ActionError if the chunk is not such an array; the message says what was expected and what may help.
     """
     expected = f"actions: expected an array of numbers (steps, {WIDTH}): {JOINTS} joints and the gripper"
     if not is_array(chunk):
         raise ActionError(f"{expected}, got {type(chunk).__name__} {chunk!r:.80}")
     if chunk.dtype.kind not in "fiu" or chunk.ndim != 2 or chunk.shape[1] != WIDTH or not 1 <= len(chunk) <= MAX_CHUNK:
-        raise ActionError(f"{expected}, 1 to {MAX_CHUNK} steps, got {chunk.dtype} {chunk.shape}{_hint(chunk.shape)}")
+        hint = ""
+        if chunk.shape[-1:] == (JOINTS,):
+            hint = ": the gripper's column is missing"
+        elif chunk.shape[-1:] > (WIDTH,):
+            hint = f": columns from number {WIDTH + 1} on have no meaning here"
+        raise ActionError(f"{expected}, 1 to {MAX_CHUNK} steps, got {chunk.dtype} {chunk.shape}{hint}")
     # Converting a NaN to another width may raise a floating-point warning; the check below names the NaN.
     with np.errstate(invalid="ignore"):
         values = chunk.astype(np.float64)
     if not np.isfinite(values).all():
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        row, column = np.argwhere(~np.isfinite(values))[0].tolist()
         raise ActionError(f"actions[{row}]: expected finite numbers, got {values[row, column]} in column {column + 1}")
     outside = np.flatnonzero((values[:, -1] < -GRIPPER_SLACK) | (values[:, -1] > 1 + GRIPPER_SLACK))
     if grips and len(outside):
-        row = int(outside[0])
         raise ActionError(
-            f"actions[{row}]: expected a gripper command of 0 (open) to 1 (closed) in the last column, got "
-            f"{values[row, -1]:g}: the server has another convention, or its columns are in another order"
+            f"actions[{outside[0]}]: expected a gripper command of 0 (open) to 1 (closed) in the last column, got "
+            f"{values[outside[0], -1]:g}: the server has another convention, or its columns are in another order"
         )
     if horizon is not None and len(values) < horizon:
         raise ActionError(
             f"actions: expected at least {horizon} steps, the horizon, got {len(values)}; add horizon={len(values)} "
             "to the address"
         )
-    joints = values[:horizon, :JOINTS]
+    joints: npt.NDArray[np.float64] = values[:horizon, :JOINTS]
     if space == "droid_joint_velocity":
         return [Action(joint=row) for row in np.clip(joints, -1.0, 1.0)]
-    if np.abs(joints).max() > 2 * np.pi:
-        far = float(np.abs(joints).max())
+    if (far := np.abs(joints).max()) > 2 * np.pi:
         raise ActionError(f"actions: expected joint angles in radians, got {far:g}: the server answers in degrees?")
     return [Action(joint=row) for row in joints]
-
-
-def _hint(shape: tuple[int, ...]) -> str:
-    if shape[-1:] == (JOINTS,):
-        return ": the gripper's column is missing"
-    return f": columns from number {WIDTH + 1} on have no meaning here" if shape[-1:] > (WIDTH,) else ""

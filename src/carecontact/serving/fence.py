@@ -1,4 +1,9 @@
-"""What a policy's process may read and write, by Landlock, and which processes it may see."""
+"""What a policy's process may read and write: what programs need, and what belongs to the policy.
+
+By Landlock, a process gives up rights to files and signals for itself and its descendants, without needing a privilege.
+Numbers are those of linux/landlock.h. A policy's process isolates itself as far as the system can, before anything else
+is imported there.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ import stat
 import struct
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,9 +32,6 @@ if TYPE_CHECKING:
     from carecontact.serving.child import Options
 
 
-# Landlock: a process gives up rights to files and signals for itself and its descendants, without needing a privilege.
-# Numbers are those of linux/landlock.h.
-
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446
 """System calls, with the same numbers on every architecture that Python runs on."""
 VERSION_FLAG, PATH_BENEATH = 1, 1
@@ -42,13 +45,54 @@ REFER, TRUNCATE, IOCTL_DEVICE, RESOLVE_SOCKET = 1 << 13, 1 << 14, 1 << 15, 1 << 
 """Rights of later versions. The last one is to connect to a socket with a path that another process made."""
 SINCE = {2: REFER, 3: TRUNCATE, 5: IOCTL_DEVICE, 9: RESOLVE_SOCKET}
 """Version of Landlock -> the right that this version is the first to control."""
-SCOPES_SINCE, ABSTRACT_SOCKETS, SIGNALS = 6, 1 << 0, 1 << 1
+TRUNCATE_SINCE, SCOPES_SINCE = 3, 6
+ABSTRACT_SOCKETS, SIGNALS = 1 << 0, 1 << 1
 
 READ = EXECUTE | READ_FILE | READ_DIR
 WRITE = WRITE_FILE | REMOVE_AND_MAKE | REFER | TRUNCATE
 DEVICE = READ_FILE | WRITE_FILE | IOCTL_DEVICE
 OF_A_FILE = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEVICE | RESOLVE_SOCKET
 """Rights that a rule about anything other than a directory may contain."""
+
+SYSTEM = (
+    *"/usr /bin /sbin /lib /lib32 /lib64 /opt /nix/store /sys /run/systemd/resolve".split(),
+    *"/etc/alternatives /etc/ca-certificates /etc/pki /etc/ssl /etc/fonts /etc/OpenCL /etc/vulkan /etc/glvnd".split(),
+    *"/etc/mime.types /etc/ld.so.cache /etc/ld.so.conf /etc/ld.so.conf.d /etc/ld.so.preload /etc/locale.alias".split(),
+    *"/etc/localtime /etc/timezone /etc/os-release /etc/passwd /etc/group /etc/nsswitch.conf /etc/host.conf".split(),
+    *"/etc/hosts /etc/resolv.conf /etc/gai.conf /etc/services /etc/protocols".split(),
+)
+"""What programs need to read: programs, libraries, hardware, certificates and names of hosts. Never /home, /root, /tmp,
+/run or all of /etc."""
+CLOCKS = (
+    *"/sys/fs/cgroup /sys/kernel/debug /sys/kernel/tracing /sys/devices/virtual/powercap /sys/kernel/irq".split(),
+    *(f"/sys/devices/system/cpu/cpu*/{name}" for name in ("cpuidle", "cpufreq/stats", "acpi_cppc")),
+)
+"""Parts of SYSTEM that count what others use of the processors: time, to a microsecond or better, cycles, energy and
+interrupts."""
+LIMITS = tuple(
+    f"/sys/fs/cgroup/{name}"
+    for name in "cpu.max cpu/cpu.cfs_quota_us cpu/cpu.cfs_period_us memory.max memory/memory.limit_in_bytes".split()
+)
+"""Files among these that libraries read to learn how many threads to start; joblib fails if it cannot open the first
+one although it exists."""
+PROCESS = tuple(f"/proc/{name}" for name in "cpuinfo meminfo version filesystems devices modules sys driver".split())
+"""The parts of /proc that describe the machine. Of the processes in it, a policy sees only its own. Never stat, uptime
+or loadavg: stat shows contact by how much processor time the simulator takes (docs/threat-model.md)."""
+CACHE_VARIABLES = ("~/.cache",)
+"""Folders in which libraries keep downloaded weights."""
+KEYS = ("~/.cache/huggingface/token", "~/.cache/huggingface/stored_tokens")
+"""Secrets of the user inside these folders."""
+SOCKETS = ("/run/systemd/resolve", "/run/nscd", "/run/nvidia-persistenced")
+"""Sockets of the daemons that resolve names of hosts and keep graphics cards initialised."""
+DEVICES = tuple(f"/dev/{name}" for name in "null zero full random urandom nvidia* dri kfd dxg infiniband".split())
+CACHE_FOLDERS = (
+    *("TRITON_HOME", "TRITON_CACHE_DIR", "CUPY_CACHE_DIR", "CUDA_CACHE_PATH", "MPLCONFIGDIR", "NUMBA_CACHE_DIR"),
+    "HF_TOKEN_PATH",
+)
+"""Variables that name folders in which libraries keep compiled files and, in the last one, look for a key of the user.
+By default these lie in the home folder, and some libraries fail if they cannot use it."""
+NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
+"""Usual variables that name files."""
 
 _PINNED: list[int] = []
 """Open descriptors of the places in /proc that rules name. Without them, the kernel may recreate such a place, and the
@@ -73,22 +117,18 @@ def restrict(rights: Mapping[str, int]) -> int:
     if not kernel:
         return 0
     handled = READ | WRITE_FILE | REMOVE_AND_MAKE | sum(right for since, right in SINCE.items() if kernel >= since)
-    scopes = ABSTRACT_SOCKETS | SIGNALS if kernel >= SCOPES_SINCE else 0
-    return kernel if _enter(handled, rights, scopes=scopes) else 0
-
-
-def _enter(handled: int, rights: Mapping[str, int], *, scopes: int) -> bool:
     # An older kernel refuses unknown fields unless they are 0.
+    scopes = ABSTRACT_SOCKETS | SIGNALS if kernel >= SCOPES_SINCE else 0
     attributes = struct.pack("=QQQ", handled, 0, scopes)
     ruleset = _call(CREATE_RULESET, attributes, len(attributes), 0)
     if ruleset < 0:
-        return False
+        return 0
     try:
         for path, allowed in rights.items():
             with suppress(OSError):
                 _add(ruleset, path, allowed & handled)
         no_new_privileges = ctypes.CDLL(None).prctl(NO_NEW_PRIVS, 1, 0, 0, 0) == 0
-        return no_new_privileges and _call(RESTRICT_SELF, ruleset, 0) == 0
+        return kernel if no_new_privileges and _call(RESTRICT_SELF, ruleset, 0) == 0 else 0
     finally:
         os.close(ruleset)
 
@@ -115,49 +155,6 @@ def _call(number: int, *arguments: int | bytes | None) -> int:
     return libc.syscall(ctypes.c_long(number), *passed)
 
 
-# Which files a policy's process may read and write: what programs need, and what belongs to the policy.
-
-SYSTEM = (
-    "/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store", "/sys", "/run/systemd/resolve",
-    *(f"/etc/{name}" for name in (
-        "alternatives", "ca-certificates", "pki", "ssl", "fonts", "OpenCL", "vulkan", "glvnd", "mime.types",
-        "ld.so.cache", "ld.so.conf", "ld.so.conf.d", "ld.so.preload", "locale.alias", "localtime", "timezone",
-        "os-release", "passwd", "group", "nsswitch.conf", "host.conf", "hosts", "resolv.conf", "gai.conf", "services",
-        "protocols",
-    )),
-)  # fmt: skip
-"""What programs need to read: programs, libraries, hardware, certificates and names of hosts. Never /home, /root, /tmp,
-/run or all of /etc."""
-CLOCKS = (
-    "/sys/fs/cgroup", "/sys/kernel/debug", "/sys/kernel/tracing", "/sys/devices/system/cpu/cpu*/cpuidle",
-    "/sys/devices/system/cpu/cpu*/cpufreq/stats", "/sys/devices/system/cpu/cpu*/acpi_cppc",
-    "/sys/devices/virtual/powercap", "/sys/kernel/irq",
-)  # fmt: skip
-"""Parts of SYSTEM that count what others use of the processors: time, to a microsecond or better, cycles, energy and
-interrupts."""
-LIMITS = tuple(f"/sys/fs/cgroup/{name}" for name in (
-    "cpu.max", "cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us", "memory.max", "memory/memory.limit_in_bytes",
-))  # fmt: skip
-"""Files among these that libraries read to learn how many threads to start; joblib fails if it cannot open the first
-one although it exists."""
-PROCESS = (
-    "/proc/cpuinfo", "/proc/meminfo", "/proc/version", "/proc/filesystems", "/proc/devices", "/proc/modules",
-    "/proc/sys", "/proc/driver",
-)  # fmt: skip
-"""The parts of /proc that describe the machine. Of the processes in it, a policy sees only its own. Never stat, uptime
-or loadavg: stat tells contact by how much processor time the simulator takes (docs/threat-model.md)."""
-CACHE_VARIABLES = ("~/.cache",)
-"""Folders in which libraries keep downloaded weights."""
-KEYS = ("~/.cache/huggingface/token", "~/.cache/huggingface/stored_tokens")
-"""Secrets of the user inside these folders."""
-SOCKETS = ("/run/systemd/resolve", "/run/nscd", "/run/nvidia-persistenced")
-"""Sockets of the daemons that resolve names of hosts and keep graphics cards initialised."""
-DEVICES = (
-    "/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/nvidia*", "/dev/dri", "/dev/kfd",
-    "/dev/dxg", "/dev/infiniband",
-)  # fmt: skip
-
-
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
     """What a policy's process may use."""
@@ -165,71 +162,57 @@ class Allowed:
     places: tuple[str, ...]
     """Files and folders as the policy may name them; some may lie in ``/tmp``."""
     rights: dict[str, int]
-    """Path -> rights, as ``landlock.restrict`` takes them, without those of the running process (``own_rights``)."""
+    """Path -> rights, as ``restrict`` takes them, without those of the running process (``own_rights``)."""
 
 
-def allowed(
-    *,
-    search_path: Sequence[str],
-    target: str,
-    given: Iterable[str],
-    readable: Sequence[str],
-    writable: Sequence[str],
-    closed: Sequence[str],
-    record: str | None = None,
-) -> Allowed:
-    """Find what a policy's process may use; call it where all files of the system can be seen.
+def allowed(options: Options) -> Allowed:
+    """Find what a policy's process may use, before namespaces hide anything.
 
-    Args:
-        search_path: folders of the policy's modules, besides those of ``sys.path``.
-        target: ``module:Class``; its package may lie elsewhere, as with an editable installation.
-        given: arguments and values of variables; every path in them, alone or in a list, may be read.
-        readable, writable: files and folders that the user opened in addition.
-        record: file to which the policy may append.
-        closed: folders that stay closed even inside one that may be read. Only ``readable`` opens them.
+    Besides what programs need, it may read its modules, whose package may lie elsewhere, as with an editable
+    installation; and every path, alone or in a list, in its arguments and in the variables that name files. Folders of
+    ``closed`` stay closed even inside one that may be read; only ``readable`` opens them.
     """
-    found: dict[str, int] = {}
-
-    def allow(path: str, right: int) -> None:
-        found[path] = found.get(path, 0) | right
-
+    record, readable, writable = options["language"].get("record"), options["readable"], options["writable"]
+    variables = [os.environ[name] for name in (*options["environment"], *NAME_FILES) if name in os.environ]
+    given = [*options["arguments"].values(), *options["language"].values(), *variables]
+    if record is not None:
+        # A single file can be opened to the policy only if it exists.
+        with suppress(OSError):
+            open(record, "ab").close()
     keys = [path for path in map(os.path.expanduser, KEYS) if os.path.exists(path)]
-    clocks = [path for pattern in CLOCKS for path in glob.glob(pattern)]
-    shut = [os.path.realpath(path) for path in (*closed, *keys, *clocks)]
-    places = [
-        *SYSTEM,
-        *PROCESS,
-        *map(os.path.expanduser, CACHE_VARIABLES),
-        *_interpreter(),
-        *_package(search_path, target),
-    ]
+    shut = [os.path.realpath(path) for path in (*options["closed"], *keys, *_found(CLOCKS))]
     home = os.path.realpath(os.path.expanduser("~"))
-    places += [*search_path, *_paths(given)]
+    hidden = list[str]()
+    with suppress(OSError):
+        hidden = [os.path.join(home, name) for name in os.listdir(home) if name.startswith(".")]
+    places = [*SYSTEM, *PROCESS, *map(os.path.expanduser, CACHE_VARIABLES), *_interpreter()]
+    places += [*_package(options["search_path"], options["target"]), *options["search_path"], *_paths(given)]
+    found = Counter[str]()
+
+    def allow(paths: Iterable[str], right: int) -> None:
+        for path in paths:
+            found[path] |= right
+
     for place in map(os.path.realpath, places):
         # A folder that holds the whole home folder does not open the keys that programs keep hidden there.
-        for path in without(place, [*shut, *_hidden(home)] if _inside(home, place) else shut):
-            allow(path, READ)
-    for path in filter(os.path.exists, LIMITS):
-        allow(path, READ)
-    for path in (path for pattern in DEVICES for path in glob.glob(pattern)):
-        allow(path, READ | DEVICE)
-    for place in SOCKETS:
-        allow(os.path.realpath(place), RESOLVE_SOCKET)
-    if record is not None:
-        allow(record, READ_FILE | WRITE_FILE)
-    for path in readable:
-        allow(path, READ)
-    for path in writable:
-        allow(path, READ | WRITE | DEVICE | RESOLVE_SOCKET)
-    given_places = (*readable, *writable, *filter(None, [record]))
-    return Allowed(places=(*places, *given_places), rights=found)
+        allow(without(place, [*shut, *hidden] if _inside(home, place) else shut), READ)
+    allow(filter(os.path.exists, LIMITS), READ)
+    allow(_found(DEVICES), READ | DEVICE)
+    allow(map(os.path.realpath, SOCKETS), RESOLVE_SOCKET)
+    records = [record] if record is not None else []
+    allow(records, READ_FILE | WRITE_FILE)
+    allow(readable, READ)
+    allow(writable, READ | WRITE | DEVICE | RESOLVE_SOCKET)
+    return Allowed(places=(*places, *readable, *writable, *records), rights=dict(found))
+
+
+def _found(patterns: Iterable[str]) -> list[str]:
+    return [path for pattern in patterns for path in glob.glob(pattern)]
 
 
 def own_rights(closed: Sequence[str]) -> dict[str, int]:
     """Return path -> rights of what belongs to the running process: its entry in ``/proc``, temporary files and shared
-    memory.
-
-    ``closed``: as ``allowed`` takes it; shared memory with such a folder in it stays closed.
+    memory, unless one of these folders is in it.
     """
     # CUDA names its threads there and does not start unless it may truncate the file to which it writes a name.
     own = {f"/proc/{os.getpid()}": READ | WRITE_FILE | TRUNCATE}
@@ -239,9 +222,7 @@ def own_rights(closed: Sequence[str]) -> dict[str, int]:
 
 
 def without(folder: str, closed: Sequence[str]) -> Iterator[str]:
-    """Yield ``folder``; if closed folders lie inside it, yield its other content instead; if it is closed, yield
-    nothing.
-    """
+    """Yield ``folder``; if closed folders lie inside it, its other content instead; if it is closed, nothing."""
     if any(_inside(folder, shut) for shut in closed):
         return
     if not any(_inside(shut, folder) for shut in closed):
@@ -253,18 +234,10 @@ def without(folder: str, closed: Sequence[str]) -> Iterator[str]:
             # A link to a parent folder would make the walk endless.
             if not os.path.islink(path):
                 yield from without(path, closed)
-            elif not any(_inside(a, b) for shut in closed for a, b in _both(shut, os.path.realpath(path))):
-                yield path
-
-
-def _hidden(folder: str) -> list[str]:
-    with suppress(OSError):
-        return [os.path.join(folder, name) for name in os.listdir(folder) if name.startswith(".")]
-    return []
-
-
-def _both(one: str, other: str) -> tuple[tuple[str, str], tuple[str, str]]:
-    return (one, other), (other, one)
+            else:
+                real = os.path.realpath(path)
+                if not any(_inside(shut, real) or _inside(real, shut) for shut in closed):
+                    yield path
 
 
 def _inside(path: str, folder: str) -> bool:
@@ -299,12 +272,9 @@ def _paths(given: Iterable[str]) -> Iterator[str]:
                     yield place
 
 
-# Makes imports work from a folder that may not be listed because something in it is closed to the policy.
-
-
 class UnlistedFolders(MetaPathFinder):
-    """A finder for the end of ``sys.meta_path``. Python's own finder lists a folder first; this one asks for one
-    file.
+    """A finder for the end of ``sys.meta_path`` that imports from a folder that may not be listed because something in
+    it is closed to the policy. Python's own finder lists a folder first; this one asks for one file.
     """
 
     def __init__(self, folders: Sequence[str]) -> None:
@@ -322,26 +292,10 @@ class UnlistedFolders(MetaPathFinder):
                 if os.path.isfile(file):
                     return spec_from_file_location(fullname, file)
             if os.path.isdir(package):
-                return PathFinder.find_spec(fullname, [folder]) or _namespace(fullname, package)
+                space = ModuleSpec(fullname, None, is_package=True)
+                space.submodule_search_locations = [package]
+                return PathFinder.find_spec(fullname, [folder]) or space
         return None
-
-
-def _namespace(fullname: str, package: str) -> ModuleSpec:
-    spec = ModuleSpec(fullname, None, is_package=True)
-    spec.submodule_search_locations = [package]
-    return spec
-
-
-# Isolates the policy's process as far as this system can, before anything else is imported there.
-
-TRUNCATE_SINCE = 3
-CACHE_FOLDERS = (
-    "TRITON_HOME", "TRITON_CACHE_DIR", "CUPY_CACHE_DIR", "CUDA_CACHE_PATH", "MPLCONFIGDIR", "NUMBA_CACHE_DIR",
-    "HF_TOKEN_PATH",
-)  # fmt: skip
-"""Variables that name folders in which libraries keep compiled files and, in the last one, look for a key of the user.
-By default these lie in the home folder, and some libraries fail if they cannot use it."""
-NAME_FILES = ("LD_LIBRARY_PATH", "SSL_CERT_FILE")
 
 
 def level(kernel: int, *, namespaces: bool) -> str:
@@ -373,24 +327,6 @@ def closes_signals() -> bool:
     return granted() or version() >= SCOPES_SINCE
 
 
-def prepare(options: Options) -> Allowed:
-    """Find what the policy's process may use, before namespaces hide anything."""
-    record = options["language"].get("record")
-    if record is not None:
-        # A single file can be opened to the policy only if it exists.
-        with suppress(OSError):
-            open(record, "ab").close()
-    return allowed(
-        search_path=options["search_path"],
-        target=options["target"],
-        given=[*options["arguments"].values(), *options["language"].values(), *_variables(options["environment"])],
-        record=record,
-        readable=options["readable"],
-        writable=options["writable"],
-        closed=options["closed"],
-    )
-
-
 def isolate(options: Options, allowed: Allowed | None) -> None:
     """Give up all rights that a policy does not need; none if ``allowed`` is None.
 
@@ -404,7 +340,7 @@ def isolate(options: Options, allowed: Allowed | None) -> None:
     drop_capabilities()
     kernel = restrict(allowed.rights | own_rights(options["closed"]))
     reached = level(kernel, namespaces=options["namespaces"])
-    # The policy can read these options, and the names of the folders tell where the run is stored.
+    # The policy can read these options, and the names of the folders show where the run is stored.
     options["closed"] = []
     folders = (*options["search_path"], *sys.path)
     if unlisted := [folder for folder in folders if os.path.isdir(folder) and not _listed(folder)]:
@@ -413,11 +349,6 @@ def isolate(options: Options, allowed: Allowed | None) -> None:
         if paths:
             reached += f"; --policy-{word} {' '.join(paths)}"
     options["isolation"] = reached
-
-
-def _variables(names: Sequence[str]) -> list[str]:
-    """Return the values of the variables that --policy-env let pass, and of the usual variables that name files."""
-    return [os.environ[name] for name in (*names, *NAME_FILES) if name in os.environ]
 
 
 def _listed(folder: str) -> bool:

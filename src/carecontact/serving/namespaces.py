@@ -24,7 +24,7 @@ VARIABLE = "CARECONTACT_NAMESPACES"
 """A variable for diagnostics: with the value ``off``, policies run as on a system that grants no namespaces."""
 SANDBOX = "CARECONTACT_SANDBOX"
 """Variable with a command that runs what is given after it in a sandbox, such as bubblewrap. It then starts the
-policies, and namespaces are its affair."""
+policies, and decides on namespaces."""
 TEMPORARY, SHARED_MEMORY = "/tmp", "/dev/shm"
 FOLDER = "carecontact-policy"
 """Name of the policy's own folder in TEMPORARY. The folders that are bound back there lie outside of it."""
@@ -42,14 +42,11 @@ def granted() -> bool:
 @cache
 def _tried() -> bool:
     """Try it, once, in a process of its own."""
+    command = [sys.executable, "-I", "-S", __file__]
     try:
-        tried = subprocess.run(
-            [sys.executable, "-I", "-S", __file__], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, timeout=60.0, check=False,
-        )  # fmt: skip
+        return not subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60.0).returncode
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return tried.returncode == 0
 
 
 def enter(places: Iterable[str]) -> str:

@@ -6,13 +6,11 @@ import time
 from collections.abc import Callable
 
 from carecontact.errors import LostError, PolicyError, UnreachableError
-from carecontact.interface.policy import API_KEY, PolicyCard, PolicyRef
+from carecontact.interface.policy import API_KEY, PolicyCard
 from carecontact.serving.client import Client, PolicyClient, basic_authorization
 from carecontact.serving.connection import Connection
 from carecontact.serving.conversation import Left, PolicyConversation, PolicySetup, T
 from carecontact.serving.process import PolicyProcess
-
-# A policy on another host, named by its address: ``ws://HOST:PORT`` or that of a dialect.
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 """First and longest pause [s] between attempts to reach a server that is away; each pause is twice the one before."""
@@ -23,25 +21,34 @@ HIDDEN = "***"
 
 
 class RemotePolicy(PolicyConversation):
-    """A conversation with a policy that somebody else started. Each trial is one connection. What the policy prints and
-    how it ends stay unknown.
+    """A conversation with a policy on a server that somebody else started. Each trial is one connection. What the
+    policy prints and how it ends stay unknown.
     """
 
     def __init__(self, setup: PolicySetup, *, first_deadline_s: float, deadline_s: float) -> None:
-        """``setup``: the setup of a remote policy. Its credentials become HTTP basic authorization or a dialect's
-        key.
-        """
+        """``setup``: that of a remote policy. Its credentials become HTTP basic authorization or a dialect's key."""
         super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s)
         self._ref = setup.ref
         self._card: PolicyCard | None = None
         self._steps: list[Callable[[Left], object]] = []
 
     def _open(self, left: Left) -> Client:
-        ref = self._ref
+        ref, authorization = self._ref, basic_authorization(self._ref.credentials)
+        if ref.scheme != "ws" and ref.credentials:
+            authorization = f"Api-Key {ref.credentials}"
         connection = Connection.open(
-            host=ref.host, port=ref.port, path=ref.path, deadline_s=left(), authorization=_authorization(ref)
+            host=ref.host, port=ref.port, path=ref.path, deadline_s=left(), authorization=authorization
         )
-        return _client(ref, connection)
+        if ref.scheme == "ws":
+            return PolicyClient(connection)
+        # These imports are local because they load Pillow and SciPy.
+        from carecontact.serving.openpi import OpenpiClient
+        from carecontact.serving.vla_eval import VlaEvalClient
+
+        options = dict(ref.options)
+        if ref.scheme == "vla-eval":
+            return VlaEvalClient(connection, options=options)
+        return OpenpiClient(connection, scheme=ref.scheme, options=options)
 
     def _connect(self, left: Left) -> PolicyCard:
         card = super()._connect(left)
@@ -51,8 +58,8 @@ class RemotePolicy(PolicyConversation):
         return card
 
     def _carried_out(self, step: Callable[[Left], T], left: Left) -> T:
-        """Carry out a step, and begin the trial anew if the server was away: before the first answer, nothing was
-        executed.
+        """Carry out a step, and repeat the trial from its start if the server was away: before the first answer,
+        nothing was executed.
         """
         if self._acted or not self.patient:
             return step(left)
@@ -85,28 +92,6 @@ class RemotePolicy(PolicyConversation):
         if "HTTP 401" in message or "HTTP 403" in message:
             return f"; the server wants a key: put it into the variable {API_KEY}"
         return "; the server speaks WebSocket on another path: add it to the address" if "HTTP 404" in message else ""
-
-
-def _authorization(ref: PolicyRef) -> str:
-    if ref.scheme == "ws" or not ref.credentials:
-        return basic_authorization(ref.credentials)
-    return f"Api-Key {ref.credentials}"
-
-
-def _client(ref: PolicyRef, connection: Connection) -> Client:
-    if ref.scheme == "ws":
-        return PolicyClient(connection)
-    # These imports are local because they load Pillow and SciPy.
-    from carecontact.serving.openpi import OpenpiClient
-    from carecontact.serving.vla_eval import VlaEvalClient
-
-    options = dict(ref.options)
-    if ref.scheme == "vla-eval":
-        return VlaEvalClient(connection, options=options)
-    return OpenpiClient(connection, scheme=ref.scheme, options=options)
-
-
-# Makes the conversation with a policy from the policy's setup.
 
 
 def open_policy(setup: PolicySetup, *, first_deadline_s: float, deadline_s: float) -> PolicyConversation:

@@ -1,9 +1,9 @@
-"""Runs a policy in a process of its own: starts it closed in, speaks to it, and says why it ended."""
+"""Runs a policy in a process of its own: starts it isolated, talks to it under deadlines, says why it ended, and always
+ends it."""
 
 from __future__ import annotations
 
 import errno
-import io
 import json
 import os
 import re
@@ -13,32 +13,59 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import carecontact
 from carecontact.errors import ExhaustedError, PolicyError, StorageError, UnreachableError
 from carecontact.policies.registry import policy_target
 from carecontact.serving.client import PolicyClient
 from carecontact.serving.connection import Connection
-from carecontact.serving.conversation import BUDGET_S, GRACE_S, Left, PolicyConversation, PolicySetup
+from carecontact.serving.conversation import GRACE_S, Left, PolicyConversation, PolicySetup
 from carecontact.serving.namespaces import SANDBOX, granted
 from carecontact.serving.process_tree import ASK, STACK_PATIENCE_S, kill_claimed, read_stack, readable_descriptors
 from carecontact.serving.sandbox import ENDING_S, NO_PROCESS, REMOVAL_S, PrivateFolder, private_folder
 from carecontact.system import cache_folder, is_exhausted
 
-if TYPE_CHECKING:
-    from carecontact.serving.child import Options
+REPORT_BYTES = 1 << 20
+"""Most bytes of what the process reports about its start; a traceback is its longest part."""
+OUTPUT_BYTES = 8192
+"""Number of bytes of the policy's output that are kept as evidence: its last ones."""
+ENVIRONMENT = frozenset(
+    "PATH HOME TMPDIR LANG LC_ALL LD_LIBRARY_PATH CUDA_VISIBLE_DEVICES SSL_CERT_FILE "
+    "HTTP_PROXY HTTPS_PROXY NO_PROXY http_proxy https_proxy no_proxy".split()
+)
+ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_")
+"""Besides these, only variables that --policy-env names reach the policy, so that no variable of the harness can carry
+a seed or a label."""
+LANGUAGE_PREFIX = "OPENAI_"
+"""Variables with the address and key of a language model; only a policy that the user lets use ``live:MODEL`` gets
+them."""
+SECRET_CHARS = 6
+"""A value of --policy-env of at least this length is removed from the policy's output. Shorter values may be ordinary
+words."""
+PORTS = range(1, 1 << 16)
+TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
+"""Errors that neither the policy nor the temporary folder causes."""
 
-
-# Recognises errors of a policy about a file that isolation closes to it.
-
+_MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
 _DENIED = re.compile(
     r"(?:Permission denied|No such file or directory): *['\"]([^'\"\n]+)"
     r"|(/[^'\"\n:]+)['\"]?: (?:Permission denied|No such file or directory)"
 )
+_BOOTSTRAP = """
+import json, sys
+options = json.load(sys.stdin)
+if options["root"] not in sys.path:
+    sys.path.insert(0, options["root"])
+# Before importing numpy, which starts threads: neither a fork nor isolation reaches threads that already run.
+from carecontact.serving.sandbox import start
+start(options)
+from carecontact.serving.child import main
+main(options)
+"""
 
 
 def remedy(message: str, *, isolation: str | None) -> str:
@@ -60,66 +87,26 @@ def remedy(message: str, *, isolation: str | None) -> str:
     )
 
 
-# A policy in a process of its own: this module starts it, talks to it under deadlines, and always ends it.
-
-REPORT_BYTES = 1 << 20
-"""Most bytes of what the process reports about its start; a traceback is its longest part."""
-OUTPUT_BYTES = 8192
-"""Number of bytes of the policy's output that are kept as evidence: its last ones."""
-
-ENVIRONMENT = (
-    "PATH", "HOME", "TMPDIR", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "CUDA_VISIBLE_DEVICES", "SSL_CERT_FILE",
-    "HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy",
-)  # fmt: skip
-SECRET_CHARS = 6
-"""A value of --policy-env of at least this length is removed from the policy's output. Shorter values may be ordinary
-words."""
-ENVIRONMENT_PREFIXES = ("OMP_", "OPENBLAS_")
-"""Besides these, only variables that --policy-env names reach the policy, so that no variable of the harness can carry
-a seed or a label."""
-LANGUAGE_PREFIX = "OPENAI_"
-"""Variables with the address and key of a language model; only a policy that the user lets use ``live:MODEL`` gets
-them."""
-
-_MISSING_KEY = re.compile(r"KeyError: '([A-Za-z_][A-Za-z0-9_]*)'")
-_BOOTSTRAP = """
-import json, sys
-options = json.load(sys.stdin)
-if options["root"] not in sys.path:
-    sys.path.insert(0, options["root"])
-# Before importing numpy, which starts threads: neither a fork nor isolation reaches threads that already run.
-from carecontact.serving.sandbox import start
-start(options)
-from carecontact.serving.child import main
-main(options)
-"""
-
-
-PORTS = range(1, 1 << 16)
-TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
-"""Errors that neither the policy nor the temporary folder causes."""
-
-
 class PolicyProcess(PolicyConversation):
     """A conversation with a policy in a process that this object starts; it leaves no process behind."""
 
-    def __init__(
-        self, setup: PolicySetup, *, first_deadline_s: float, deadline_s: float, budget_s: float = BUDGET_S
-    ) -> None:
+    def __init__(self, setup: PolicySetup, *, first_deadline_s: float, deadline_s: float) -> None:
         """``setup``: the setup of a registered or importable policy. Raises UnknownNameError for an unknown one."""
-        super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s, budget_s=budget_s)
+        super().__init__(setup.ref.text, first_deadline_s=first_deadline_s, deadline_s=deadline_s)
         self._target = policy_target(setup.ref)
         self._setup = setup
         self._child: subprocess.Popen[bytes] | None = None
-        """The process that watches the policy's (``hosting.sandbox``)."""
+        """The process that watches the policy's (``serving.sandbox``)."""
         self._lifeline: socket.socket | None = None
         """That process ends with it, and reports over it how the policy's process ended."""
         self._line: socket.socket | None = None
+        """The end of the connection from which alone the policy accepts one."""
         self._folder: PrivateFolder | None = None
         self._stack: int | None = None
         self._output = b""
-        self._report: io.FileIO | None = None
         self._reader: threading.Thread | None = None
+        self._owned = ExitStack()
+        """What is closed when the process has ended."""
 
     @property
     def printed(self) -> str:
@@ -131,13 +118,10 @@ class PolicyProcess(PolicyConversation):
 
         Raises PolicyError as ``start`` does.
         """
-        with self._evidence("start"), self._within(self._first_deadline_s) as left:
-            return self._reached(self._launch(left), left)
+        return self._call("start", self._first_deadline_s, lambda left: self._reached(self._launch(left), left))
 
     def hung(self) -> str:
-        """Return the stack of a launched policy that does not end although its connection is closed; empty if it
-        ends.
-        """
+        """Return the stack of a launched policy whose connection is closed and that does not end; else empty."""
         self._ended_within(GRACE_S)
         return self._shown(self._where("timeout"))
 
@@ -171,79 +155,82 @@ class PolicyProcess(PolicyConversation):
     def _launch(self, left: Left) -> int:
         """Start the child process and return the port on which it listens."""
         namespaces = self._setup.isolated and granted()
-        if not namespaces:
-            self._folder = _new_folder()
-        self._line = socket.socket()
+        self._folder = None if namespaces else _new_folder()
+        self._line = self._owned.enter_context(socket.socket())
         self._line.bind(("127.0.0.1", 0))
         with ExitStack() as theirs:
-            report_read, report_write = os.pipe()
-            self._report = os.fdopen(report_read, "rb", buffering=0)
+            report, report_write = os.pipe()
+            self._owned.callback(os.close, report)
             theirs.callback(os.close, report_write)
             self._stack, stack_write = os.pipe()
+            self._owned.callback(os.close, self._stack)
             theirs.callback(os.close, stack_write)
             self._lifeline, lifeline = socket.socketpair()
-            theirs.callback(lifeline.close)
-            options = _options(
-                self._setup, self._target, report_fd=report_write, lifeline_fd=lifeline.fileno(), stack_fd=stack_write,
-                lock_fd=self._folder and self._folder.lock, harness_port=self._line.getsockname()[1],
-                namespaces=namespaces,
-            )  # fmt: skip
-            given = [report_write, lifeline.fileno(), stack_write]
-            folder = {}
-            if self._folder is not None:
-                given.append(self._folder.lock)
-                folder["TMPDIR"] = str(self._folder.path)
-            # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a
-            # set, and so a policy's answer, may differ from run to run.
-            try:
-                self._child = subprocess.Popen(
-                    [*shlex.split(os.environ.get(SANDBOX, "")), sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
-                    env=_environment(self._setup) | dict(self._setup.environment) | folder,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.STDOUT,
-                    pass_fds=given,
-                    start_new_session=True,
-                )
-            except OSError as error:
-                if error.errno in TOO_MANY_FILES:
-                    raise
-                if is_exhausted(error):
-                    raise _exhausted(error) from None
-                raise PolicyError("start", f"no process could be started: {error}") from None
+            self._owned.enter_context(self._lifeline)
+            theirs.enter_context(lifeline)
+            descriptors = {
+                "report_fd": report_write,
+                "stack_fd": stack_write,
+                "lifeline_fd": lifeline.fileno(),
+                "lock_fd": None if self._folder is None else self._folder.lock,
+            }
+            self._child = self._popen([fd for fd in descriptors.values() if fd is not None])
         try:
             self._reader = _started(self._drain, self._child)
             if not namespaces:
                 _started(_kill_left, self._child, self._lifeline.dup())
         except RuntimeError as error:
+            self._child.kill()  # It waits for its options, and has started nothing.
             raise _exhausted(error) from None
+        options = _options(self._setup, self._target) | descriptors
+        options |= {"harness_port": self._line.getsockname()[1], "namespaces": namespaces}
         # Not on the command line, which every user of the machine can read. The policy's own code runs after this.
         assert self._child.stdin is not None
         with suppress(BrokenPipeError), self._child.stdin as stdin:
             stdin.write(json.dumps(options).encode())
-        return self._reported_port(self._report, left)
+        return self._reported_port(report, left)
 
-    def _reported_port(self, report: io.FileIO, left: Left) -> int:
-        with report:
-            lines = self._report_lines(report, left)
-            try:
-                self.isolation = str(json.loads(next(lines))["isolation"])
-                if sandbox := os.environ.get(SANDBOX):
-                    level, *opened = self.isolation.split("; ", 1)
-                    self.isolation = "; ".join([f"{level}, in {sandbox}", *opened])
-                told: dict[str, Any] = json.loads(next(lines))
-                if "error" not in told:
-                    port = told["port"]
-                    if type(port) is not int or port not in PORTS:
-                        raise ValueError
-                    return port
-                kind, why = told["kind"], str(told["error"])
-            except (ValueError, TypeError, KeyError, RecursionError):
-                # Only code of the policy can have written this, so that it counts as the policy's failure.
-                raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
+    def _popen(self, descriptors: Sequence[int]) -> subprocess.Popen[bytes]:
+        folder = {} if self._folder is None else {"TMPDIR": str(self._folder.path)}
+        # -s -P and no PYTHON* variable isolate as -I does, but leave PYTHONHASHSEED, without which the order of a set,
+        # and so a policy's answer, may differ from run to run.
+        try:
+            return subprocess.Popen(
+                [*shlex.split(os.environ.get(SANDBOX, "")), sys.executable, "-s", "-P", "-u", "-c", _BOOTSTRAP],
+                env=_environment(self._setup) | dict(self._setup.environment) | folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                pass_fds=descriptors,
+                start_new_session=True,
+            )
+        except OSError as error:
+            if error.errno in TOO_MANY_FILES:
+                raise
+            if is_exhausted(error):
+                raise _exhausted(error) from None
+            raise PolicyError("start", f"no process could be started: {error}") from None
+
+    def _reported_port(self, report: int, left: Left) -> int:
+        lines = self._report_lines(report, left)
+        try:
+            self.isolation = str(json.loads(next(lines))["isolation"])
+            if sandbox := os.environ.get(SANDBOX):
+                level, *opened = self.isolation.split("; ", 1)
+                self.isolation = "; ".join([f"{level}, in {sandbox}", *opened])
+            found: dict[str, Any] = json.loads(next(lines))
+            if "error" not in found:
+                port = found["port"]
+                if type(port) is not int or port not in PORTS:
+                    raise ValueError
+                return port
+            kind, why = found["kind"], str(found["error"])
+        except (ValueError, TypeError, KeyError, RecursionError):
+            # Only code of the policy can have written this, so that it counts as the policy's failure.
+            raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
         raise PolicyError(kind if kind in ("argument", "start") else "start", why)
 
-    def _report_lines(self, report: io.FileIO, left: Left) -> Iterator[bytes]:
+    def _report_lines(self, report: int, left: Left) -> Iterator[bytes]:
         """Yield the lines that the process reports about its start; raise if it ends before the last one."""
         written = b""
         while True:
@@ -252,11 +239,11 @@ class PolicyProcess(PolicyConversation):
                 yield line
                 written = rest
                 continue
-            if not readable_descriptors([report.fileno()], left()):
+            if not readable_descriptors([report], left()):
                 raise PolicyError(
                     "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
                 )
-            piece = report.read(65536)
+            piece = os.read(report, 65536)
             if not piece:
                 if self.isolation is None and self._watchers_status() == NO_PROCESS:
                     raise _exhausted(self.printed or "no process or memory is left")
@@ -285,15 +272,18 @@ class PolicyProcess(PolicyConversation):
                 text = text.replace(value, "[secret removed]")
         return super()._shown(text)
 
-    def _kind(self, error: PolicyError) -> str:
-        """Return ``killed`` if the process received SIGKILL; nobody can tell who sent it."""
-        if self._child is None or error.kind not in ("died", "start", "handshake"):
-            return error.kind
-        with suppress(TimeoutError):
-            # If the process that watches it is gone, the kernel has killed it.
-            if self._status() in (None, -signal.SIGKILL):
-                return "killed"
-        return error.kind
+    def _cause(self, error: PolicyError) -> tuple[str, str, str]:
+        """The kind is ``killed`` if the process received SIGKILL, whose sender is unknown."""
+        if self._child is None:
+            return error.kind, "", ""
+        kind = error.kind
+        if kind in ("died", "start", "handshake"):
+            with suppress(TimeoutError):
+                # If the process that watches it is gone, the kernel has killed it.
+                if self._status() in (None, -signal.SIGKILL):
+                    kind = "killed"
+        end = self._how_it_ended() if kind in ("died", "killed") else ""
+        return kind, end, self._where(error.kind)
 
     def _ended_within(self, time_s: float) -> bool:
         """Wait for the end of the policy's process; also true if there is none."""
@@ -309,15 +299,14 @@ class PolicyProcess(PolicyConversation):
         return _reported(self._lifeline)
 
     def _how_it_ended(self, when: str = "without an answer") -> str:
-        if self._child is None:
-            return ""
+        assert self._child is not None
         try:
             code = self._status()
         except TimeoutError:
             return f"it closed its connection {when}, and its process still runs"
         if code is None:
             return f"its process was killed {when}, because the process that watches it {_ended_as(self._child.wait())}"
-        return f"its process {_ended_as(code)} {when}" if code < 0 else f"its process {_ended_as(code, when)}"
+        return f"its process {_ended_as(code)} {when}"
 
     def _where(self, kind: str) -> str:
         if self._child is None or self._stack is None or kind not in ("timeout", "died", "start"):
@@ -354,25 +343,13 @@ class PolicyProcess(PolicyConversation):
 
     def _drop(self) -> None:
         self._kill()
-        self._child = None
-        if self._report is not None:
-            self._report.close()
-            self._report = None
-        if self._lifeline is not None:
-            self._lifeline.close()
-            self._lifeline = None
+        super()._drop()
         if self._reader is not None:
             self._reader.join(GRACE_S)
         if self._folder is not None:
             self._folder.remove()
-            self._folder = None
-        if self._stack is not None:
-            os.close(self._stack)
-            self._stack = None
-        if self._line is not None:
-            self._line.close()
-            self._line = None
-        super()._drop()
+        self._child = self._lifeline = self._line = self._folder = self._stack = None
+        self._owned.close()
 
 
 def _started(work: Callable[..., None], *given: object) -> threading.Thread:
@@ -415,43 +392,32 @@ def _reported(lifeline: socket.socket) -> int | None:
     return None
 
 
-def _ended_as(code: int, when: str = "") -> str:
+def _ended_as(code: int) -> str:
     if code >= 0:
-        return f"ended itself {when}, exit code {code}" if when else f"ended with exit code {code}"
+        return f"ended itself with exit code {code}"
     try:
         return f"was killed by {signal.Signals(-code).name}"
     except ValueError:
         return f"was killed by signal {-code}"
 
 
-def _options(
-    setup: PolicySetup,
-    target: str,
-    *,
-    report_fd: int,
-    lifeline_fd: int,
-    stack_fd: int,
-    lock_fd: int | None,
-    harness_port: int,
-    namespaces: bool,
-) -> Options:
+def _options(setup: PolicySetup, target: str) -> dict[str, object]:
+    """Return the part of the ``child.Options`` that the setup decides."""
+
+    def absolute(places: Iterable[str]) -> list[str]:
+        return [os.path.abspath(place) for place in places]
+
     return {
         "root": str(Path(carecontact.__file__).resolve().parents[1]),
         "target": target,
-        "search_path": [os.path.abspath(place) for place in setup.search_path],
+        "search_path": absolute(setup.search_path),
         "arguments": dict(setup.arguments),
         "language": {name: text for name in ("language", "record") if (text := getattr(setup, name)) is not None},
         "environment": list(setup.environment),
-        "report_fd": report_fd,
-        "lifeline_fd": lifeline_fd,
-        "lock_fd": lock_fd,
-        "harness_port": harness_port,
-        "readable": [os.path.abspath(place) for place in setup.readable],
-        "writable": [os.path.abspath(place) for place in setup.writable],
-        "closed": [os.path.abspath(place) for place in (*setup.closed, *filter(None, [cache_folder()]))],
+        "readable": absolute(setup.readable),
+        "writable": absolute(setup.writable),
+        "closed": absolute((*setup.closed, *map(str, filter(None, [cache_folder()])))),
         "isolated": setup.isolated,
-        "namespaces": namespaces,
-        "stack_fd": stack_fd,
     }
 
 

@@ -1,5 +1,9 @@
-"""Looks after processes that were started: which descriptors can be read, where a process hangs, what it has started
-itself."""
+"""Looks after processes that were started: which descriptors can be read, where a process hangs, and what it has
+started itself.
+
+Where the system grants no pid namespace, a process adopts what its descendants leave, and kills it. Linux lists the
+children of a process; elsewhere, only the policy's process group is killed.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +22,27 @@ from pathlib import Path
 import carecontact
 from carecontact.system import adopt_orphans
 
-# Waits for file descriptors, whatever their numbers: ``select.select`` refuses those from 1024 on.
+ASK = signal.SIGQUIT
+"""The signal that asks a process for its Python stack, as in Java and Go."""
+STACK_PATIENCE_S = 1.0
+"""Longest wait [s] for the stack; a process that was stopped by a signal gives none."""
+PAUSE_S = 0.1
+"""If no further line comes for this time [s], the stack is complete."""
+WHOLE_S = 1.0
+"""Longest time [s] from the first line to the last: the policy can write there, too, and go on and on."""
+MOST_BYTES = 65536
+PLUMBING = tuple(f"{Path(carecontact.__file__).parent / folder}{os.sep}" for folder in ("serving", "interface"))
+"""Folders whose code calls every policy or checks its values, and therefore explains no mistake of a policy."""
+CHILDREN_PATIENCE_S = 2.0
+"""Time [s] for ending processes that start others while they are being killed."""
+_FRAME = re.compile(r'  File "(.+)", line (\d+) in (.+)')
+
+_all_children = False
 
 
 def readable_descriptors(descriptors: Iterable[int], timeout_s: float | None = None) -> list[int]:
-    """Return the descriptors that have something to read, or have reached their end.
+    """Return the descriptors that have something to read, or have reached their end; ``select.select`` would refuse
+    numbers from 1024 on.
 
     Args:
         timeout_s: longest wait [s] for the first one; None waits until there is one.
@@ -33,27 +53,8 @@ def readable_descriptors(descriptors: Iterable[int], timeout_s: float | None = N
     return [found for found, _ in watch.poll(None if timeout_s is None else math.ceil(max(timeout_s, 0.0) * 1e3))]
 
 
-# The Python stack of a policy's process, which the interpreter writes on a signal and when it crashes.
-
-ASK = signal.SIGQUIT
-"""The signal that asks a process for its stack, as in Java and Go."""
-STACK_PATIENCE_S = 1.0
-"""Longest wait [s] for the stack; a process that was stopped by a signal gives none."""
-PAUSE_S = 0.1
-"""If no further line comes for this time [s], the stack is complete."""
-WHOLE_S = 1.0
-"""Longest time [s] from the first line to the last: the policy can write there, too, and go on and on."""
-MOST_BYTES = 65536
-PLUMBING = tuple(f"{Path(carecontact.__file__).parent / folder}{os.sep}" for folder in ("serving", "interface"))
-"""Folders whose code calls every policy or checks its values, and therefore explains no mistake of a policy."""
-_FRAME = re.compile(r'  File "(.+)", line (\d+) in (.+)')
-_BEGINS = "(most recent call first)"
-
-
 def is_plumbing(file: str) -> bool:
-    """Whether frames of this file belong to the harness, which calls the policy, checks its values or imports its
-    module.
-    """
+    """Whether frames of this file belong to the harness, which calls the policy or imports its module."""
     return file.startswith((*PLUMBING, "<frozen importlib")) or file in (importlib.__file__, "<string>")
 
 
@@ -77,21 +78,11 @@ def read_stack(fd: int, *, patience_s: float) -> str:
             break
         written, wait_s = written + piece, PAUSE_S
     # Lines of source are left out: the process chose these file names, and reading such a file might block.
-    last = written.decode(errors="replace").rpartition(_BEGINS)[2]
+    last = written.decode(errors="replace").rpartition("(most recent call first)")[2]
     frames = [found.groups() for line in last.splitlines() if (found := _FRAME.fullmatch(line))]
     return "\n".join(
         f'  File "{file}", line {number}, in {name}' for file, number, name in reversed(frames) if not is_plumbing(file)
     )
-
-
-# What stands in for a pid namespace where the system grants none: a process adopts what its descendants leave, and
-# kills it. Linux tells whose children they are; elsewhere, only the policy's process group is killed.
-
-CHILDREN_PATIENCE_S = 2.0
-"""Time [s] for ending processes that start others while they are being killed."""
-_TASKS = Path("/proc/self/task")
-
-_all_children = False
 
 
 def claim_children() -> None:
@@ -162,6 +153,6 @@ def reap(statuses: dict[int, int | None], *, most: int = 256) -> bool:
 def _children() -> set[int]:
     found = set[int]()
     with suppress(OSError):  # A thread that has just ended, or another system.
-        for task in _TASKS.iterdir():
+        for task in Path("/proc/self/task").iterdir():
             found.update(map(int, (task / "children").read_text().split()))
     return found

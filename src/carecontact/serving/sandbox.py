@@ -1,5 +1,10 @@
-"""Closes this process in before a policy is loaded: private folder, namespaces, fence. It imports nothing that starts a
-thread."""
+"""The process between the harness and the policy's: it closes off what the policy does not need, starts the policy's
+process by a fork, and reports how that ended. It imports nothing that starts a thread.
+
+With it ends everything that the policy started: in namespaces, the kernel does that; elsewhere, this process adopts and
+kills what is left (``serving.process_tree``). It ends when the policy does, and when the harness closes its end of a
+socket, which the kernel does for a harness that is killed.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from carecontact.serving.fence import isolate, prepare
+from carecontact.serving.fence import allowed, isolate
 from carecontact.serving.namespaces import SHARED_MEMORY, enter, mount_processes, start_init
 from carecontact.serving.process_tree import ASK, CHILDREN_PATIENCE_S, kill_children, readable_descriptors, reap
 from carecontact.system import NO_LOCKS, adopt_orphans, die_with_parent
@@ -24,8 +29,6 @@ from carecontact.system import NO_LOCKS, adopt_orphans, die_with_parent
 if TYPE_CHECKING:
     from carecontact.serving.child import Options
 
-
-# A temporary folder on the disk for each policy, where its temporary files are not in a namespace's memory.
 
 PREFIX = "carecontact-policy-"
 BESIDE_SHARED_MEMORY = "/tmp"
@@ -36,12 +39,21 @@ this takes minutes, and then goes on beside the next trial."""
 ABANDONED_S = 1.0
 """Longest wait [s] for the removal of all folders that killed harnesses left: the deadline of another policy pays for
 it."""
+ENDING_S = CHILDREN_PATIENCE_S + 1.0
+"""Longest wait [s] of the harness for the end of this process."""
+NO_PROCESS = os.EX_OSERR
+"""Exit status if the policy's process cannot be started."""
+UNMOVED_BY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that all processes of a command may receive when it is stopped. This one ends with the harness anyway, and
+before that it has to kill what the policy started."""
 # The second attempt is for a folder without the right to list it.
 _REMOVE = ("sh", "-c", 'rm -rf -- "$0" 2>/dev/null || { chmod -R u+rwx -- "$0"; rm -rf -- "$0"; }')
 
 
 @dataclass(frozen=True, kw_only=True)
 class PrivateFolder:
+    """A policy's temporary folder on the disk, where its temporary files are not in a namespace's memory."""
+
     path: Path
     lock: int
     """Descriptor of the lock, which the kernel releases when the last process that has it ends in any way."""
@@ -77,23 +89,21 @@ def remove_and_exit(path: Path) -> NoReturn:
 def private_folder() -> PrivateFolder:
     """Make a folder, after removing those whose harness is gone. Raises OSError if none can be made.
 
-    Where the file system has no locks, nobody can tell an abandoned folder from one in use: it is left there.
+    Where the file system has no locks, an abandoned folder looks like one in use: it is left there.
     """
     remove_abandoned_folders()
     while True:
         path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_place()))
-        # Between making and locking the folder, another harness may have removed it as an abandoned one.
-        with suppress(FileNotFoundError, BlockingIOError):
-            try:
-                made = PrivateFolder(path=path, lock=_locked(path, otherwise_open=True))
-            except OSError as error:
-                # Too many open files, for example: nobody would know this folder as abandoned before the next command.
-                if not isinstance(error, FileNotFoundError | BlockingIOError):
-                    path.rmdir()
-                raise
-            if path.is_dir():
-                return made
-            made.remove()
+        try:
+            made = PrivateFolder(path=path, lock=_locked(path, otherwise_open=True))
+        except (FileNotFoundError, BlockingIOError):
+            continue  # Between making and locking the folder, another harness removes it as an abandoned one.
+        except OSError:  # Too many open files, for example.
+            path.rmdir()
+            raise
+        if path.is_dir():
+            return made
+        made.remove()
 
 
 def remove_abandoned_folders() -> None:
@@ -125,35 +135,19 @@ def _locked(path: Path, *, otherwise_open: bool = False) -> int:
     return lock
 
 
-# The process between the harness and the policy's: it closes off what the policy does not need, starts the policy's
-# process by a fork, and reports how that ended.
-#
-# With it ends everything that the policy started: in namespaces, the kernel does that; elsewhere, this process adopts
-# and kills what is left (``isolation.process_tree``). It ends when the policy does, and when the harness closes its end
-# of a socket, which the kernel does for a harness that is killed.
-
-ENDING_S = CHILDREN_PATIENCE_S + 1.0
-"""Longest wait [s] of the harness for the end of this process."""
-NO_PROCESS = os.EX_OSERR
-"""Exit status if the policy's process cannot be started."""
-UNMOVED_BY = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that whoever stops a command may send to all its processes. This one ends with the harness anyway, and before
-that it has to kill what the policy started."""
-
-
 def start(options: Options) -> None:
     """Divide this process, which has one thread, in two: one waits and never returns from here, and the other, the
     policy's, is isolated and returns."""
     own = os.getpid()
-    # Whoever started the harness may have changed these, and neither of the two works with blocked signals.
+    # The harness's parent may have changed these, and neither of the two processes works with blocked signals.
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    allowed = prepare(options) if options["isolated"] else None
+    rights = allowed(options) if options["isolated"] else None
     init, held = None, None
     try:
         if options["namespaces"]:
-            assert allowed is not None
-            os.environ["TMPDIR"] = enter(allowed.places)
+            assert rights is not None
+            os.environ["TMPDIR"] = enter(rights.places)
             init, held = start_init()
         else:
             adopt_orphans()
@@ -170,14 +164,19 @@ def start(options: Options) -> None:
             mount_processes()
         else:
             die_with_parent(own)
-        isolate(options, allowed)
+        isolate(options, rights)
         return
     for descriptor in (options["report_fd"], options["stack_fd"]):
         os.close(descriptor)
-    _watch(policy, init, options["lifeline_fd"], folder=None if options["namespaces"] else Path(os.environ["TMPDIR"]))
+    _watch(policy, init, options["lifeline_fd"])
+    if init is not None:
+        os._exit(0)
+    # Here and not in the harness, which may end at any moment, and has other things to do if this takes long.
+    remove_and_exit(Path(os.environ["TMPDIR"]))
 
 
-def _watch(policy: int, init: int | None, lifeline: int, *, folder: Path | None) -> None:
+def _watch(policy: int, init: int | None, lifeline: int) -> None:
+    """Wait for the end of the policy or of the harness, kill what the policy started, and report how it ended."""
     statuses: dict[int, int | None] = dict.fromkeys(filter(None, (policy, init)))
     try:
         _wait(policy, lifeline, statuses)
@@ -193,10 +192,6 @@ def _watch(policy: int, init: int | None, lifeline: int, *, folder: Path | None)
     except BaseException:
         _pass_on(signal.SIGKILL, policy, statuses)
         raise
-    if folder is None:
-        os._exit(0)
-    # Here and not in the harness, which may end at any moment, and has other things to do if this takes long.
-    remove_and_exit(folder)
 
 
 def _wait(policy: int, lifeline: int, statuses: dict[int, int | None]) -> None:

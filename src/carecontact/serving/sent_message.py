@@ -18,9 +18,7 @@ def dialect_of(arguments: Mapping[str, str]) -> str:
 
 def unpacked_message(message: bytes, dialect: str) -> object:
     """Decode a message of a dialect. Raises ContractError if it is none."""
-    if dialect in ("openpi", "roboarena"):
-        return openpi.unpack(message, max_bytes=packing.MAX_MESSAGE_BYTES)
-    return packing.unpack(message)
+    return (openpi if dialect in ("openpi", "roboarena") else packing).unpack(message)
 
 
 def rebuilt_message(
@@ -29,12 +27,10 @@ def rebuilt_message(
     """Make the message that carries an observation again.
 
     Args:
-        arguments: those of the policy's card.
-        cameras: those of the policy's card.
+        arguments, cameras: those of the policy's card.
         sent: the message as it was sent; its random session id and its number in the connection are reused.
 
-    Raises:
-        ContractError: ``sent`` is no message of the dialect, or the observation does not fit the card.
+    Raises ContractError if ``sent`` is no message of the dialect, or the observation does not fit the card.
     """
     dialect = dialect_of(arguments)
     if not dialect:

@@ -1,4 +1,5 @@
-"""Serves a policy of this host to others, or to this process itself."""
+"""Serves a policy of this host to trials elsewhere: on other hosts, where each connection gets a policy process of its
+own as a local trial does, or in other processes, where all share an object of this process."""
 
 from __future__ import annotations
 
@@ -15,15 +16,14 @@ from websockets.sync.server import ServerConnection, serve
 from carecontact.errors import CarecontactError, ConfigError
 from carecontact.interface.policy import Policy
 from carecontact.serving.conversation import PolicySetup
-from carecontact.serving.packing import MAX_MESSAGE_BYTES
 from carecontact.serving.process import TOO_MANY_FILES, PolicyProcess
-from carecontact.serving.server import converse
+from carecontact.serving.server import OPTIONS, converse
 
-# Serves a policy to trials on other hosts: each connection gets a policy process of its own, as a local trial does.
-
+HOST = "127.0.0.1"
+"""Where an object of this process is served."""
 WAITING = 100
-"""Most connections at a time that wait for a place, or have said nothing yet."""
-FIRST_WORD_S = 10.0
+"""Most connections at a time that wait for a place, or have sent nothing yet."""
+FIRST_BYTE_S = 10.0
 """Time [s] for a client to send the first byte of its handshake; an honest one sends it at once."""
 LOAD_DEADLINE_S = 600.0
 """Time [s] for a policy to load; the trial at the other end has a shorter deadline of its own."""
@@ -58,9 +58,9 @@ def serve_trials(
 
     def serve_one(connection: socket.socket, peer: str) -> None:
         with connection, door:
-            # Who says nothing takes no place, and for who has gone meanwhile no policy is started.
-            if not _spoke(connection):
-                on_event(f"{peer}: it connected and said nothing")
+            # A silent client takes no place, and for one that has left meanwhile no policy is started.
+            if not _first_byte(connection):
+                on_event(f"{peer}: it connected and sent nothing")
                 return
             with slots:
                 if not _left(connection):
@@ -82,9 +82,9 @@ def serve_trials(
             threading.Thread(target=serve_one, args=(connection, f"{address} port {number}"), daemon=True).start()
 
 
-def _spoke(connection: socket.socket) -> bool:
+def _first_byte(connection: socket.socket) -> bool:
     """Wait for the first byte of a connection, and leave it there; return False if none comes."""
-    connection.settimeout(FIRST_WORD_S)
+    connection.settimeout(FIRST_BYTE_S)
     try:
         return bool(connection.recv(1, socket.MSG_PEEK))
     except OSError:
@@ -94,7 +94,7 @@ def _spoke(connection: socket.socket) -> bool:
 
 
 def _left(connection: socket.socket) -> bool:
-    """Whether the other end has closed its connection; False on systems that do not tell."""
+    """Whether the other end has closed its connection; False on systems that cannot say."""
     poll = select.poll()
     poll.register(connection, getattr(select, "POLLRDHUP", 0))
     return bool(poll.poll(0))
@@ -137,11 +137,6 @@ def _pump(source: socket.socket, sink: socket.socket) -> None:
             one.shutdown(socket.SHUT_RDWR)
 
 
-# Serves a policy object of this process, on the loopback interface, to trials in other processes.
-
-HOST = "127.0.0.1"
-
-
 @contextmanager
 def served(policy: Policy, *, port: int) -> Iterator[str]:
     """Yield the address at which trials reach the policy; it is served until the block ends.
@@ -162,13 +157,10 @@ def served(policy: Policy, *, port: int) -> Iterator[str]:
             converse(policy, connection, {}, ())
 
     try:
-        server = serve(
-            one_trial, HOST, port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1
-        )
+        server = serve(one_trial, HOST, port, **OPTIONS)
     except OSError as error:
-        raise ConfigError(
-            f"cannot listen on {HOST}, port {port}: {error.strerror or error}; give another port"
-        ) from None
+        why = error.strerror or error
+        raise ConfigError(f"cannot listen on {HOST}, port {port}: {why}; give another port") from None
     with server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"ws://{HOST}:{server.socket.getsockname()[1]}"

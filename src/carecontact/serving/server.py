@@ -1,4 +1,4 @@
-"""The policy's end of the wire: answers the harness, and hands on the text of an exception."""
+"""The policy's end of the wire: one policy object, one connection, one conversation."""
 
 from __future__ import annotations
 
@@ -20,10 +20,21 @@ from carecontact.serving import codec
 from carecontact.serving.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
 from carecontact.serving.process_tree import is_plumbing
 
-# The text about a policy's exception that the harness receives.
-
 TRACEBACK_CHARS = 2000
 """Most characters of a traceback or message: the whole of it might contain the policy's whole input."""
+QUIET = logging.getLogger("carecontact.wire")
+"""The log of the WebSocket library, which writes a traceback when a client misbehaves. That is no fault of the policy,
+among whose output it would stand."""
+QUIET.disabled = True
+OPTIONS: dict[str, Any] = {
+    "compression": None,
+    "ping_interval": None,
+    "max_size": MAX_MESSAGE_BYTES,
+    "close_timeout": 1,
+}
+"""Of every WebSocket server of a policy."""
+KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "language", ProgramError: "program"}
+"""Exceptions whose message explains the failure: no line of the policy caused it, and a traceback would not help."""
 
 
 def traceback_text(error: BaseException) -> str:
@@ -36,11 +47,11 @@ def traceback_text(error: BaseException) -> str:
     whole = "".join(found.format())
     if len(whole) <= TRACEBACK_CHARS:
         return whole
-    said = "".join(found.format_exception_only())
-    stack, half = whole.removesuffix(said), TRACEBACK_CHARS // 2
-    if len(said) > half:
-        said = f"{said[: half - 6]} [...]"
-    return stack[-(TRACEBACK_CHARS - len(said)) :] + said
+    last = "".join(found.format_exception_only())
+    stack, half = whole.removesuffix(last), TRACEBACK_CHARS // 2
+    if len(last) > half:
+        last = f"{last[: half - 6]} [...]"
+    return stack[-(TRACEBACK_CHARS - len(last)) :] + last
 
 
 def _hide_plumbing(found: traceback.TracebackException) -> None:
@@ -50,19 +61,10 @@ def _hide_plumbing(found: traceback.TracebackException) -> None:
             _hide_plumbing(earlier)
 
 
-# The policy's end of the wire: one policy object, one connection, one conversation.
-
-QUIET = logging.getLogger("carecontact.wire")
-"""The log of the WebSocket library, which writes a traceback when a client misbehaves. That is no fault of the policy,
-among whose output it would stand."""
-QUIET.disabled = True
-
-
 def serve_policy(
     policy: Policy,
     *,
     on_port: Callable[[int], None],
-    port: int = 0,
     client_port: int | None = None,
     arguments: Mapping[str, str] | None = None,
     environment: tuple[str, ...] = (),
@@ -98,10 +100,7 @@ def serve_policy(
         except Exception as error:  # No thread for the connection, for example.
             offered.put(error)
 
-    server = serve(
-        hand_over, "127.0.0.1", port, compression=None, ping_interval=None, max_size=MAX_MESSAGE_BYTES, close_timeout=1,
-        logger=QUIET,
-    )  # fmt: skip
+    server = serve(hand_over, "127.0.0.1", 0, logger=QUIET, **OPTIONS)
     # Before the block, whose end waits for that thread.
     threading.Thread(target=accept, daemon=True).start()
     on_port(server.socket.getsockname()[1])
@@ -119,9 +118,7 @@ def serve_policy(
 def converse(
     policy: Policy, connection: ServerConnection, arguments: Mapping[str, str], environment: tuple[str, ...]
 ) -> None:
-    """Send the card and answer requests until the client closes or the policy fails; the client is told of a
-    failure.
-    """
+    """Send the card and answer requests until the client closes or the policy fails, which the client learns."""
     try:
         card: object = getattr(policy, "card", None)
         if isinstance(card, PolicyCard):
@@ -140,20 +137,16 @@ def converse(
         return
     except PolicyError as error:
         _report(connection, policy, error.kind, str(error))
-    except (ActionError, LanguageError, ProgramError) as error:
-        # No traceback: the message says what went wrong, and no line of the policy caused it.
-        _report(connection, policy, _KINDS[type(error)], str(error))
+    except tuple(KINDS) as error:
+        _report(connection, policy, KINDS[type(error)], str(error))
     except (Exception, SystemExit) as error:
         # Whatever a policy raises counts as its failure and must reach the harness; this server does not handle it.
         _report(connection, policy, "exception", traceback_text(error))
 
 
-_KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "language", ProgramError: "program"}
-
-
 def _report(connection: ServerConnection, policy: Policy, kind: str, message: str) -> None:
-    sayable = message[:TRACEBACK_CHARS].encode(errors="replace").decode()
-    report: dict[str, object] = {"type": "error", "kind": kind, "message": sayable}
+    text = message[:TRACEBACK_CHARS].encode(errors="replace").decode()
+    report: dict[str, object] = {"type": "error", "kind": kind, "message": text}
     # A policy that failed may also fail at its notes; the first failure is the one to report.
     packed = pack(report)
     with suppress(Exception):

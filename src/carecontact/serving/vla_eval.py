@@ -13,16 +13,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from carecontact.errors import ActionError, ContractError, ObservationError, PolicyError
+from carecontact.errors import ActionError, PolicyError
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import Session
-from carecontact.serving.client import ActReply, Client, sha256
+from carecontact.serving.client import ActReply, Client, sha256, unpacked
 from carecontact.serving.connection import Connection
-from carecontact.serving.dialect import RATE_HZ
-from carecontact.serving.dialect_media import JOINTS as JOINTS
-from carecontact.serving.dialect_media import WIDTH, cropped_16_9, joint_actions
-from carecontact.serving.packing import MAX_REPLY_BYTES, is_array, is_map, pack, unpack
+from carecontact.serving.dialect import joint_card
+from carecontact.serving.dialect_media import JOINTS, WIDTH, joint_actions, picture_of
+from carecontact.serving.packing import is_array, is_map, pack
 
 PROTOCOL = 1
 HELLO: dict[str, object] = {"harness_version": "carecontact", "protocol_version": PROTOCOL}
@@ -55,34 +54,30 @@ WANTS = ("send_wrist_image", "send_state")
 class VlaEvalClient(Client):
     """One trial with a model server of vla-eval."""
 
+    _card: PolicyCard
+    """Known from HELLO on."""
+
     def __init__(self, connection: Connection, *, options: Mapping[str, str]) -> None:
         """``options``: the options in the server's address."""
         super().__init__(connection)
         self._options = dict(options)
         self._seq = 0
-        self._instruction = ""
-        self._card: PolicyCard | None = None
 
     def card(self, *, deadline_s: float) -> PolicyCard:
-        """Exchange HELLO and return the card. Raises PolicyError ``handshake`` for another protocol or an unknown
-        action space.
-        """
+        """Exchange HELLO and return the card. Raises PolicyError ``handshake`` for another protocol or action space."""
         payload = self._ask("hello", HELLO, "hello", deadline_s=deadline_s)
-        if payload.get("protocol_version") != PROTOCOL:
-            version = payload.get("protocol_version")
+        version = payload.get("protocol_version")
+        if version != PROTOCOL:
             raise PolicyError("handshake", f"hello: expected protocol_version {PROTOCOL}, got {version!r:.80}")
         self._card = _card(payload, self._options)
         return self._card
 
-    def _begin(self, instruction: str, session: Session, *, deadline_s: float) -> None:
+    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
         """Send the start. A server does not confirm it; if it fails, an error answers the first observation."""
-        self._instruction = instruction
         self.connection.expect_silence()
         self.connection.send(self._message("episode_start", {"task": {"name": instruction}}), deadline_s=deadline_s)
 
-    def _act(self, observation: Observation, *, deadline_s: float) -> ActReply:
-        if self._card is None:
-            raise ContractError("VlaEvalClient: expected card before act, got none")
+    def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
         if (early := self.connection.waiting()) is not None:
             # A server refuses an episode's start with an error; nothing else may come unasked.
             _payload(early, "action", seq=0)
@@ -113,23 +108,14 @@ def message(kind: str, payload: Mapping[str, object], *, seq: int) -> bytes:
 
 
 def observation_payload(observation: Observation, cameras: Sequence[str], *, state: bool) -> dict[str, object]:
-    """Return what a server is shown of an observation.
+    """Return what a server is shown of an observation. Raises ObservationError if a picture is missing.
 
     Args:
         cameras: names of our cameras, as in the card.
         state: whether the joint angles and the gripper are sent.
-
-    Raises:
-        ObservationError: a picture of one of these cameras is missing.
     """
-    images: dict[str, object] = {}
-    for camera, name in (("exterior", EXTERIOR), ("wrist", WRIST)):
-        if camera not in cameras:
-            continue
-        view = observation.cameras.get(camera)
-        if view is None or view.rgb is None:
-            raise ObservationError(f"observation.cameras.{camera}.rgb: expected a picture, got none")
-        images[name] = cropped_16_9(view.rgb)
+    names = {"exterior": EXTERIOR, "wrist": WRIST}
+    images = {name: picture_of(observation, camera) for camera, name in names.items() if camera in cameras}
     payload: dict[str, object] = {"images": images, "task_description": observation.instruction}
     if state:
         # 1 means closed, as in DROID's data.
@@ -151,16 +137,8 @@ def _card(hello: Mapping[str, object], options: Mapping[str, str]) -> PolicyCard
         )
     wrist, state = (bool(wanted.get(name, False)) for name in WANTS)
     space = _space(hello.get("action_spec") or {}, options.get("space"))
-    return PolicyCard(
-        name="vla-eval",
-        action_space=space,
-        control="droid",
-        modalities=("rgb",),
-        cameras=("exterior", *(("wrist",) if wrist else ())),
-        control_hz=RATE_HZ,
-        out_of_bounds="clip" if space == "joint_position" else "error",
-        arguments={"dialect": "vla-eval", "space": space, "state": "yes" if state else "no"},
-    )
+    arguments = {"dialect": "vla-eval", "space": space, "state": "yes" if state else "no"}
+    return joint_card("vla-eval", space, ("exterior", "wrist") if wrist else ("exterior",), arguments)
 
 
 def _space(spec: object, named: str | None) -> str:
@@ -171,26 +149,26 @@ def _space(spec: object, named: str | None) -> str:
     """
     if not is_map(spec):
         raise PolicyError("handshake", f"action_spec: expected a map, got {spec!r:.80}")
-    told = ", ".join(
+    parts = ", ".join(
         f"{name} ({part.get('dims')!r:.20} of {part.get('format')!r:.40})" if is_map(part) else f"{name!r:.40}"
         for name, part in sorted(spec.items())[:8]
     )
-    said = f"the server says that its actions are {told}" if told else "the server does not say what its actions mean"
+    says = f"the server says that its actions are {parts}" if parts else "the server does not say what its actions mean"
     spaces, certain = _meant(spec) if spec else (SPACES["raw"], False)
     if not spaces:
         *known, last = (repr(name) for name in SPACES if name != "raw")
         raise PolicyError(
             "handshake",
-            f"{said}, which no action space here executes; expected joints ({JOINTS} of {', '.join(known)} or {last}) "
+            f"{says}, which no action space here executes; expected joints ({JOINTS} of {', '.join(known)} or {last}) "
             "and nothing else but a gripper",
         )
     if named is not None and named not in spaces:
         remedy = "leave space out" if certain else f"?space={spaces[0]} would fit"
-        raise PolicyError("handshake", f"{said}, but the address says ?space={named}; {remedy}")
+        raise PolicyError("handshake", f"{says}, but the address says ?space={named}; {remedy}")
     if named is None and not certain:
         only = "if it fits, " if len(spaces) == 1 else ""
         raise PolicyError(
-            "handshake", f"{said}; {only}name the space in the address: ?space={' or ?space='.join(spaces)}"
+            "handshake", f"{says}; {only}name the space in the address: ?space={' or ?space='.join(spaces)}"
         )
     return named or spaces[0]
 
@@ -207,20 +185,15 @@ def _meant(spec: Mapping[str, object]) -> tuple[tuple[str, ...], bool]:
 
 
 def _payload(frame: bytes | str, kind: str, *, seq: int) -> Mapping[str, object]:
-    if isinstance(frame, str):
-        raise PolicyError("garbage", f"expected a binary message, got text {frame!r:.200}")
-    try:
-        entries = unpack(frame, max_bytes=MAX_REPLY_BYTES)
-    except ContractError as error:
-        raise PolicyError("garbage", f"{kind} {error}") from None
+    entries = unpacked(frame, kind)
     payload = entries.get("payload") if is_map(entries) else None
     if not is_map(entries) or not is_map(payload) or set(entries) != set(ENVELOPE):
         raise PolicyError(
             "garbage", f"{kind}: expected a map with the keys {', '.join(ENVELOPE)}, got {entries!r:.200}"
         )
     if entries["type"] == "error":
-        said = payload.get("error")
-        raise PolicyError("exception", said if isinstance(said, str) and said.strip() else f"an error {payload!r:.200}")
+        why = payload.get("error")
+        raise PolicyError("exception", why if isinstance(why, str) and why.strip() else f"an error {payload!r:.200}")
     if entries["type"] != kind or entries["seq"] != seq:
         got = f"{entries['type']!r:.80} to message {entries['seq']!r:.40}"
         raise PolicyError("garbage", f"expected {kind!r} as the answer to message {seq}, got {got}")

@@ -23,8 +23,8 @@ from carecontact.serving import codec
 from carecontact.serving.child import RECEIVED
 from carecontact.serving.fence import CACHE_FOLDERS
 
-TASK, TOLD = "witness.json", "told.json"
-"""Files in the witness's folder: what it shall do, and what it was told."""
+TASK, RECEIVED_FILE = "witness.json", "received.json"
+"""Files in the witness's folder: what it shall do, and what reached it."""
 CHANCE_OPTIONS = ("report_fd", "lifeline_fd", "stack_fd", "harness_port")
 CHANCE_VARIABLES = ("TMPDIR", *CACHE_FOLDERS)
 CHANCE_HEADERS = ("host", "sec-websocket-key")
@@ -32,9 +32,9 @@ CHANCE_HEADERS = ("host", "sec-websocket-key")
 
 
 class Witness:
-    """Shows the card in TASK and plays its poses, ``actions_per_look`` at a time; then it says that it is done.
+    """Shows the card in TASK and plays its poses, ``actions_per_look`` at a time; the last action is ``done``.
 
-    At ``reset`` it writes to TOLD everything that has reached its process by then.
+    At ``reset`` it writes to RECEIVED_FILE everything that has reached its process by then.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -51,8 +51,8 @@ class Witness:
 
     def reset(self, instruction: str) -> None:
         self._next = 0
-        told = {**everything_here(), "instruction": instruction, "session": self._session}
-        (self._folder / TOLD).write_text(json.dumps(told))
+        received = {**everything_here(), "instruction": instruction, "session": self._session}
+        (self._folder / RECEIVED_FILE).write_text(json.dumps(received))
 
     def act(self, observation: Observation) -> list[Action]:
         """Return the next part of the motion, whatever the observation shows."""
@@ -60,10 +60,8 @@ class Witness:
         poses = self._poses[first : self._next]
         if not poses:
             raise ContractError(f"act() after the last of {len(self._poses)} poses was done")
-        ends = self._next >= len(self._poses)
-        return [
-            Action(pose_tcp_in_base=np.array(pose), done=ends and k == len(poses) - 1) for k, pose in enumerate(poses)
-        ]
+        ends = len(poses) if self._next >= len(self._poses) else 0
+        return [Action(pose_tcp_in_base=np.array(pose), done=k == ends) for k, pose in enumerate(poses, start=1)]
 
 
 def everything_here() -> dict[str, object]:
@@ -76,18 +74,9 @@ def everything_here() -> dict[str, object]:
         "options": {name: value for name, value in RECEIVED.items() if name not in CHANCE_OPTIONS},
         "environment": {name: value for name, value in os.environ.items() if name not in CHANCE_VARIABLES},
         "folder": os.getcwd(),
-        "open_files": _open_files(),
+        "open_files": sorted(str(file.readlink()) for file in Path("/proc/self/fd").glob("*") if file.is_file()),
         "request": {
             "path": None if request is None else request.path,
             "headers": [list(pair) for pair in headers if pair[0].lower() not in CHANCE_HEADERS],
         },
     }
-
-
-def _open_files() -> list[str]:
-    """Return the paths of the regular files that this process has open; empty if the system does not list them."""
-    folder = Path("/proc/self/fd")
-    if not folder.is_dir():
-        return []
-    held = [entry.readlink() for entry in folder.iterdir() if entry.is_file()]
-    return sorted(str(path) for path in held)

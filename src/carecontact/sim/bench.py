@@ -22,7 +22,7 @@ from carecontact.human.soft_region import add_tissue
 from carecontact.interface.regions import REGIONS
 from carecontact.interface.robot import EMBODIMENTS, Tip
 from carecontact.protocol.person import Tissue
-from carecontact.tissue.plugin import Law, Readings, set_law
+from carecontact.tissue.plugin import Readings, set_law
 from carecontact.world.scene import region_shell, set_physics
 
 Shape = Literal["flat", "hemisphere", "cap"]
@@ -108,11 +108,10 @@ class Bench:
     mesh.
 
     Args:
-        region: a soft one of ``carecontact.regions``.
+        region: a soft region.
         dt_s: time step [s].
         shell: of this body, region and tissue, if it is there already.
         glides: whether the indenter has a second slide, ``indenter_along``, on which it can be moved along the region.
-        build: how the indenter touches the region.
     """
 
     def __init__(
@@ -137,12 +136,10 @@ class Bench:
         add_tissue(spec, body, region, self.shell, tissue, tools="indenter")
         _add_indenter(spec, indenter, glides=glides)
         self.model = spec.compile()
-        self._data = mujoco.MjData(self.model)
+        self.data = mujoco.MjData(self.model)
         slide = self.model.joint("indenter")
         self._slide_q, self._slide_v = int(slide.qposadr[0]), int(slide.dofadr[0])
-        self.felt = Readings(self.model, region)
-        """What the region feels."""
-        self.tissue = tissue
+        self.felt, self.tissue = Readings(self.model, region), tissue
 
     def set_law(self, tissue: Tissue) -> None:
         """Change stiffness and damping in the compiled model. Raises ConfigError where more than these would change."""
@@ -177,9 +174,9 @@ class Bench:
                 f"across {1000 * across_m:.1f} mm; the region's middle is 0, 0"
             )
         best = inside[(weight[inside] * corner[inside, :, 2]).sum(1).argmax()]
-        nodes = self.shell.triangles[best]
-        point = weight[best] @ self.shell.vertices[nodes] - self._bone_in_mesh
-        inward = -weight[best] @ self.shell.normals[nodes]
+        nodes, share = self.shell.triangles[best], weight[best]
+        point = share @ self.shell.vertices[nodes] - self._bone_in_mesh
+        inward = -share @ self.shell.normals[nodes]
         inward /= np.linalg.norm(inward)
         axis = x - (x @ inward) * inward
         axis /= np.linalg.norm(axis)
@@ -207,8 +204,7 @@ class Bench:
                 ``hold_s`` the press ends at full speed.
             sample_s: time between samples, rounded to steps; default: 150 samples on the way in, at least 200 per s.
         """
-        if sample_s is None:
-            sample_s = min(0.005, depth_m / speed_m_s / 150)
+        sample_s = sample_s or min(0.005, depth_m / speed_m_s / 150)
         dt = self.model.opt.timestep
         approach = APPROACH_M + 5 * dt * speed_m_s
         turns = unload or hold_s > 0
@@ -228,9 +224,8 @@ class Bench:
             path[leaving] = depth_m - rate / 2 * back[leaving] ** 2
             gone = back > brake_s
             path[gone] = depth_m - brake_m - speed_m_s * (back[gone] - brake_s)
-        return self.follow(
-            time, path, along_m=along_m, across_m=across_m, tilt_deg=tilt_deg, stride=max(1, round(sample_s / dt))
-        )
+        stride = max(1, round(sample_s / dt))
+        return self.follow(time, path, along_m=along_m, across_m=across_m, tilt_deg=tilt_deg, stride=stride)
 
     def follow(
         self,
@@ -252,7 +247,7 @@ class Bench:
         time = time_s[0] + np.arange(count + 1) * stride * dt
         travel = touch + np.interp(time, time_s, depth_m)
         speed = np.r_[np.diff(travel) / (stride * dt), 0.0]
-        model, data = self.model, self._data
+        model, data = self.model, self.data
         force, deepest = np.zeros(count + 1), np.zeros(count + 1)
         for k in range(count):
             data.qpos[self._slide_q], data.qvel[self._slide_v] = travel[k], speed[k]
@@ -275,46 +270,25 @@ class Bench:
         )
 
     def response(
-        self,
-        depths_m: Array,
-        *,
-        along_m: float = 0.0,
-        across_m: float = 0.0,
-        speed_m_s: float = 0.005,
-        tilt_deg: float = 0.0,
-        zero_n: float = 0.02,
+        self, depths_m: Array, *, along_m: float = 0.0, across_m: float = 0.0, speed_m_s: float = 0.005
     ) -> Array:
         """(k,) loading force at depths past the touch that a load cell would see; see Press.at_depths."""
-        deepest = float(np.max(depths_m))
-        press = self.press(
-            along_m=along_m, across_m=across_m, depth_m=deepest + 0.002, speed_m_s=speed_m_s, tilt_deg=tilt_deg
-        )
-        return press.at_depths(np.asarray(depths_m), zero_n=zero_n)
-
-    def displacement(self) -> Array:
-        """(N, 3) of the shell's vertices at the end of the last press: inward, and along two tangents [m]."""
-        return self.felt.displacement(self._data).copy()
+        deepest_m = float(np.max(depths_m)) + 0.002
+        press = self.press(along_m=along_m, across_m=across_m, depth_m=deepest_m, speed_m_s=speed_m_s)
+        return press.at_depths(np.asarray(depths_m))
 
     def skin(self) -> tuple[Array, Array, Array]:
         """The surface at the end of the last press: (n, 2) where its vertices were before, across and along from the
         indenter's axis, and (n,) how far each has moved inward along that axis and along its own normal [m]. Of the
         side that is pressed."""
         turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, self._data.mocap_quat[0])
+        mujoco.mju_quat2Mat(turn, self.data.mocap_quat[0])
         along, across, outward = turn.reshape(3, 3).T
-        from_tip = self.felt.places - self._data.mocap_pos[0]
+        from_tip = self.felt.places - self.data.mocap_pos[0]
         facing = -from_tip @ outward < self.tissue.thickness_m
-        moved = self.felt.vertices(self._data) - self.felt.places
+        moved = self.felt.vertices(self.data) - self.felt.places
         places = from_tip @ np.stack([across, along], 1)
-        return places[facing], -(moved @ outward)[facing], self.felt.displacement(self._data)[facing, 0]
-
-    def anchor_force(self) -> Array:
-        """(3,) what the anchors' springs and dampers bear at the end of the last press, in the bone's frame [N]."""
-        law, u = self.tissue, self.felt.displacement(self._data)
-        spring = Law.of(law).anchors_pa(u, lock=float(self.model.numeric(f"{self.region}/contact").data[2]))
-        growth = law.damping_growth_ns_m4 * np.maximum(u[:, :1], 0.0)
-        borne = spring + (law.damping_ns_m3 + growth) * self.felt.rate(self._data)
-        return np.einsum("i,ij,ijk->k", self.felt.areas, borne, self.felt.frames)
+        return places[facing], -(moved @ outward)[facing], self.felt.displacement(self.data)[facing, 0]
 
     def _touch(self, along_m: float, across_m: float, tilt_deg: float) -> tuple[float, Array]:
         """Reset the bench, aim the indenter; the slide's travel at first touch, and the inward direction."""
@@ -322,7 +296,7 @@ class Bench:
         frame = np.stack([axis, np.cross(-direction, axis), -direction], 1)
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, frame.ravel())
-        model, data = self.model, self._data
+        model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
         data.mocap_pos[0], data.mocap_quat[0] = point, quat
 
@@ -347,19 +321,15 @@ def _add_indenter(spec: mujoco.MjSpec, indenter: Indenter, *, glides: bool) -> N
     if glides:
         probe.add_joint(name="indenter_along", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     probe.add_joint(name="indenter", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, -1])
-    common = {"contype": 1, "conaffinity": 0, "condim": 3, "mass": 0}
-    size = indenter.size_m or 0.0
-    if indenter.shape == "cap":
-        tip = indenter.tip
-        geom = probe.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=tip.half_m, pos=[0, 0, tip.half_m[2]], **common
-        )
-        if tip.give_m3_n:
-            spec.nuser_geom, geom.userdata = 1, [tip.give_m3_n]
-    elif indenter.shape == "hemisphere":
-        probe.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[size, 0, 0], pos=[0, 0, size], **common)
-    else:
-        probe.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[size, FLAT_LENGTH_M / 2, 0], pos=[0, 0, FLAT_LENGTH_M / 2],
-            **common,
-        )  # fmt: skip
+    kind, size, tip = mujoco.mjtGeom, indenter.size_m or 0.0, indenter.tip
+    match indenter.shape:
+        case "cap":
+            form = {"type": kind.mjGEOM_ELLIPSOID, "size": tip.half_m, "pos": [0, 0, tip.half_m[2]]}
+        case "hemisphere":
+            form = {"type": kind.mjGEOM_SPHERE, "size": [size, 0, 0], "pos": [0, 0, size]}
+        case "flat":
+            half_m = FLAT_LENGTH_M / 2
+            form = {"type": kind.mjGEOM_CYLINDER, "size": [size, half_m, 0], "pos": [0, 0, half_m]}
+    geom = probe.add_geom(contype=1, conaffinity=0, condim=3, mass=0, **form)
+    if indenter.shape == "cap" and tip.give_m3_n:
+        spec.nuser_geom, geom.userdata = 1, [tip.give_m3_n]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -20,8 +21,6 @@ REACH_M = 0.016
 NEIGHBOURS_M = 2 * REACH_M
 """The four vertices of the shell beneath a skin vertex that follows it are nearer."""
 VISIBLE_M = 5e-4
-
-
 DISTANCE_M, ELEVATION_DEG = 0.22, -20.0
 """Of the camera from where it looks; the picture then shows 0.3 m of the skin, a region of a limb."""
 ABOVE_TIP_M = 0.02
@@ -47,10 +46,9 @@ def render_close_up(
     """
     look_at = data.site(scene.robot.tcp_site).xpos + [0, 0, ABOVE_TIP_M]
     azimuth_deg = REGIONS[region].close_up_azimuth_deg
-    image = renderer.free_view(
-        data, look_at=look_at, distance_m=DISTANCE_M, azimuth_deg=azimuth_deg, elevation_deg=ELEVATION_DEG,
-        size_of="exterior", edit=lambda made: dent(scene, made, shift),
-    )  # fmt: skip
+    view = {"distance_m": DISTANCE_M, "azimuth_deg": azimuth_deg, "elevation_deg": ELEVATION_DEG}
+    dented = partial(dent, scene, shift=shift)
+    image = renderer.free_view(data, look_at=look_at, size_of="exterior", edit=dented, **view)
     # MuJoCo's free camera: azimuth about the vertical from the x axis, elevation above the horizon.
     azimuth, elevation = np.radians([azimuth_deg, ELEVATION_DEG])
     forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])

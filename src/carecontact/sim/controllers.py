@@ -19,8 +19,6 @@ from carecontact.sim.impedance import (
 )
 from carecontact.world.robot import AXES, add_robot, servo, tendon
 
-# The Cartesian impedance of a running world: its gains, its moving target, its feedforward and the elbow's posture.
-
 F64 = npt.NDArray[np.float64]
 
 HELD_TO = 1.1
@@ -31,6 +29,9 @@ friction of the robot's joints does not keep the tool behind a target at full sp
 class CartesianControl:
     """Commands the six springs of ``world.robot``; ``refresh`` is called once in every target period."""
 
+    fastest: tuple[int, float] | None = None
+    """As ``JointControl.fastest``; no joint has a limit here."""
+
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, protocol: Protocol) -> None:
         self._model, self._data, self._protocol, self._robot = model, data, protocol, protocol.scene.robot
         self._posture = Posture(model, self._robot, np.array(protocol.scene.parked_joint_rad))
@@ -38,8 +39,8 @@ class CartesianControl:
         self._rows = slice(first, first + 6)
         self._tcp = model.site(self._robot.tcp_site).id
         self._mocap = int(model.body_mocapid[model.body("tcp_target").id])
-        self._interpolator = TargetInterpolator(protocol.physics)
         physics = protocol.physics
+        self.target = TargetInterpolator(physics)
         self._fastest = HELD_TO * physics.max_tcp_speed_m_s, HELD_TO * physics.max_tcp_rotation_rad_s
         self.feedforward: F64 = np.zeros(6)
         """(6,) force [N] and torque [N m] in the axes of the tool that are added to the springs' wrench. The clamp of
@@ -53,21 +54,17 @@ class CartesianControl:
     @property
     def target_in_base(self) -> F64:
         """(7,) where the springs' target is."""
-        return self._interpolator.pose
+        return self.target.pose
 
     def park(self) -> None:
         """Put the target on the tool, whose kinematics have to be current."""
         pose = tcp_pose_in_base(self._model, self._data, self._robot)
-        self._interpolator.reset(pose)
+        self.target.reset(pose)
         write_target(self._model, self._data, self._robot, pose)
 
     def resume(self) -> None:
         """Continue from a restored state, with the target where this state has it."""
-        self._interpolator.reset(target_in_base(self._model, self._data, self._robot))
-
-    def set_goal(self, pose_in_base: F64 | None, period_s: float) -> None:
-        """See ``TargetInterpolator.set_goal``."""
-        self._interpolator.set_goal(pose_in_base, period_s)
+        self.target.reset(target_in_base(self._model, self._data, self._robot))
 
     def set_gains(self, stiffness: F64, damping_ratio: float = 1.0) -> None:
         """See ``impedance.set_gains``. Needs current kinematics."""
@@ -77,7 +74,7 @@ class CartesianControl:
 
     def refresh(self) -> None:
         """Advance the target by one target period, and command the posture and the feedforward for that period."""
-        write_target(self._model, self._data, self._robot, self._interpolator.advance())
+        write_target(self._model, self._data, self._robot, self.target.advance())
         self._data.qfrc_applied[self._posture.dofs] = self._posture.torque(self._data)
         # The springs act along the target's axes; the tool's differ from them by what the tool lags behind.
         turn = matrix_from_quat(self._data.mocap_quat[self._mocap]).T @ self._data.site_xmat[self._tcp].reshape(3, 3)
@@ -101,11 +98,8 @@ class CartesianControl:
             bias[part, 2] = -np.maximum(self._damping[part], mujoco.mju_norm3(wrench[part]) / fastest)
 
 
-# The joint impedance of a running world: its target and what it needs once in every target period.
-
-
 class JointControl:
-    """Commands the servos of ``world.joint_impedance``.
+    """Commands the servos of ``world.robot.replace_impedance``.
 
     Between two refreshes MuJoCo evaluates the law by itself, with the Jacobian and the Coriolis torque of the last
     refresh and with the angles and velocities of each physics step.
@@ -128,11 +122,6 @@ class JointControl:
         """Number from 1 and speed [rad/s] of a joint that was beyond its limit at a refresh; None while none was."""
 
     @property
-    def joint_position(self) -> F64:
-        """(joints,) measured [rad]"""
-        return self._data.qpos[self._qpos].copy()
-
-    @property
     def target_in_base(self) -> F64:
         """(7,) pose that the tool would have at the target angles."""
         self._then.qpos[:] = self._target
@@ -145,7 +134,7 @@ class JointControl:
 
     def park(self) -> None:
         """Make the angles that the joints have now the target."""
-        self.set_target(self.joint_position)
+        self.set_target(self._data.qpos[self._qpos])
 
     resume = park
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from fractions import Fraction
+from itertools import count, pairwise
 from math import floor
 
 import mujoco
@@ -36,26 +37,21 @@ def set_gains(model: mujoco.MjModel, stiffness: Array, damping_ratio: float, pro
         damping_ratio: share of critical damping at the protocol's effective mass and inertia.
     """
     impedance = protocol.impedance
+    linear = impedance.translational_bounds[0], impedance.effective_mass_kg
+    angular = impedance.rotational_bounds[0], impedance.effective_inertia_kgm2
     for axis, value in enumerate(np.asarray(stiffness, np.float64).tolist()):
-        inertia, low = (
-            (impedance.effective_mass_kg, impedance.translational_bounds[0])
-            if axis < 3
-            else (impedance.effective_inertia_kgm2, impedance.rotational_bounds[0])
-        )
+        least, inertia = linear if axis < 3 else angular
         row = model.actuator(f"impedance_{axis}").id
         model.actuator_gainprm[row, 0] = value
-        damping = damping_ratio * damping_of(value or low, inertia)
-        model.actuator_biasprm[row, 1:3] = [-value, -damping]
+        model.actuator_biasprm[row, 1:3] = [-value, -damping_ratio * damping_of(value or least, inertia)]
 
 
 def write_target(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, pose_in_base: Array) -> None:
     """Put the mocap target at a TCP pose (7,) in the robot's base frame."""
     base = model.body(robot.base_body).id
     mocap = int(model.body_mocapid[model.body("tcp_target").id])
-    mujoco.mju_mulPose(
-        data.mocap_pos[mocap], data.mocap_quat[mocap], model.body_pos[base], model.body_quat[base], pose_in_base[:3],
-        pose_in_base[3:],
-    )  # fmt: skip
+    origin, turn = model.body_pos[base], model.body_quat[base]
+    mujoco.mju_mulPose(data.mocap_pos[mocap], data.mocap_quat[mocap], origin, turn, pose_in_base[:3], pose_in_base[3:])
 
 
 def target_in_base(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> Array:
@@ -155,14 +151,7 @@ def steps_of_period(rate_hz: float, dt_s: float) -> Iterator[int]:
     period = 1 / (Fraction(rate_hz).limit_denominator(10_000) * Fraction(dt_s).limit_denominator(1_000_000))
     if period < 1:
         raise ValueError(f"rate_hz {rate_hz} is faster than the physics step {dt_s} s")
-    return _period_steps(period)
-
-
-def _period_steps(period: Fraction) -> Iterator[int]:
-    k = 0
-    while True:
-        yield floor((k + 1) * period) - floor(k * period)
-        k += 1
+    return (end - start for start, end in pairwise(floor(k * period) for k in count()))
 
 
 class Posture:

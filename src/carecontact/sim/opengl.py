@@ -6,6 +6,8 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from ctypes.util import find_library
 from functools import cache
 from importlib.util import find_spec
@@ -20,15 +22,13 @@ LIBRARIES = {"egl": ("EGL", "GL"), "osmesa": ("OSMesa",)}
 PACKAGES = {"egl": "libegl1 libgl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Backend -> the packages of Debian and Ubuntu that install them."""
 INSTALLING = "; install it with: "
-"""Words of a message before the command that installs what is missing."""
-OTHERS = (
-    "", "glfw", "glx", "cgl", "wgl", "enable", "enabled", "on", "true", "1", "disable", "disabled", "off", "false", "0",
-)  # fmt: skip
-"""Values of MUJOCO_GL that MuJoCo knows too. They say what windows need, so that the choice of a backend is free."""
+"""Part of a message before the command that installs what is missing."""
+OTHERS = ("", *"glfw glx cgl wgl enable enabled on true 1 disable disabled off false 0".split())
+"""Values of MUJOCO_GL that MuJoCo knows too. They concern windows, so that the choice of a backend is free."""
 DECISIVE = (
-    "MUJOCO_EGL_DEVICE_ID", "CUDA_VISIBLE_DEVICES", "EGL_PLATFORM", "__EGL_VENDOR_LIBRARY_FILENAMES",
-    "__EGL_VENDOR_LIBRARY_DIRS", "LIBGL_DRIVERS_PATH", "MESA_LOADER_DRIVER_OVERRIDE", "GALLIUM_DRIVER",
-)  # fmt: skip
+    *"MUJOCO_EGL_DEVICE_ID CUDA_VISIBLE_DEVICES EGL_PLATFORM __EGL_VENDOR_LIBRARY_FILENAMES".split(),
+    *"__EGL_VENDOR_LIBRARY_DIRS LIBGL_DRIVERS_PATH MESA_LOADER_DRIVER_OVERRIDE GALLIUM_DRIVER".split(),
+)
 """Variables on which a driver or a device depends, and which a message therefore names."""
 
 
@@ -72,25 +72,21 @@ def choose_backend() -> str:
 
 
 def import_opengl() -> Any:
-    """Return the class of contexts of the backend to use; nothing is drawn, and no thread starts, before there is a
+    """Return the class of contexts of the backend to use. Nothing is drawn, and no thread starts, before there is a
     context.
 
     Raises DependencyError as ``choose_backend`` does, and where the backend cannot be imported; other errors where
-    memory or threads are used up, which says nothing about the machine's OpenGL.
+    memory or threads are used up, which is no fault of the machine's OpenGL.
     """
     backend = choose_backend()
-    # Read again inside MuJoCo's C library when it looks up OpenGL functions.
+    # MuJoCo's C library reads this again when it looks up OpenGL functions.
     os.environ["MUJOCO_GL"] = backend
     os.environ.setdefault("PYOPENGL_PLATFORM", backend)
-    try:
+    with _refusals():
         if backend == "egl":
             from mujoco.egl import GLContext
         else:
             from mujoco.osmesa import GLContext
-    except Exception as error:  # ImportError, RuntimeError, AttributeError, TypeError, GLError ...
-        if is_exhausted(error):
-            raise
-        raise cannot_render(error) from error
     return GLContext
 
 
@@ -100,36 +96,39 @@ def make_context(width: int, height: int) -> Any:
     Raises as ``import_opengl`` does, and DependencyError where there is no device or driver.
     """
     kind = import_opengl()
-    try:
+    with _refusals():
         context = kind(width, height)
         context.make_current()
-    except Exception as error:  # as above, and ValueError for a MUJOCO_EGL_DEVICE_ID that is no number
+    return context
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Raise DependencyError for any error of the body, except where memory or threads are used up."""
+    try:
+        yield
+    except Exception as error:  # ImportError, RuntimeError, AttributeError, TypeError, ValueError, GLError ...
         if is_exhausted(error):
             raise
         raise cannot_render(error) from error
-    return context
 
 
 def drawn_by() -> str:
     """Return vendor, renderer and version of the current context, as OpenGL names them."""
     library = ctypes.CDLL(find_library("OSMesa" if os.environ["MUJOCO_GL"] == "osmesa" else "GL"))
     library.glGetString.restype = ctypes.c_char_p
-    vendor, renderer, version = 0x1F00, 0x1F01, 0x1F02  # GL_VENDOR, GL_RENDERER, GL_VERSION
-    told = [library.glGetString(name) for name in (vendor, renderer, version)]
-    return ", ".join(text.decode(errors="replace") if text else "unnamed" for text in told)
+    names = [library.glGetString(name) for name in (0x1F00, 0x1F01, 0x1F02)]  # GL_VENDOR, GL_RENDERER, GL_VERSION
+    return ", ".join(text.decode(errors="replace") if text else "unnamed" for text in names)
 
 
 def cannot_render(error: Exception) -> DependencyError:
     """Return the error to raise where a driver or a device refuses: it names the variables on which that depends."""
     backend = choose_backend()
-    said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    given = [f"{name}={os.environ[name]}" for name in DECISIVE if os.environ.get(name)]
-    remedy = (
-        f"this depends on {', '.join(given)}; unset or correct {'it' if len(given) == 1 else 'them'}"
-        if given
-        else f"if a driver is missing, install it with: apt-get install -y {PACKAGES[backend]}"
-    )
-    return DependencyError(f"cannot render with {backend}: {said}; {remedy}")
+    why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    remedy = f"if a driver is missing, install it with: apt-get install -y {PACKAGES[backend]}"
+    if given := [f"{name}={os.environ[name]}" for name in DECISIVE if os.environ.get(name)]:
+        remedy = f"correct or unset what decides this in the environment: {', '.join(given)}"
+    return DependencyError(f"cannot render with {backend}: {why}; {remedy}")
 
 
 def probe() -> None:

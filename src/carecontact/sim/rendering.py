@@ -75,10 +75,8 @@ class SceneRenderer:
     def rgb(self, data: mujoco.MjData, camera: str) -> npt.NDArray[np.uint8]:
         """(H, W, 3) colour image."""
         self.renders["rgb"] += 1
-        width, height = self.size(camera)
-        image = np.empty((height, width, 3), np.uint8)
-        self._draw(data, self._fixed(camera), self.size(camera), self._everything, image, None)
-        return np.ascontiguousarray(image[::-1])
+        self._draw(data, camera, self._everything)
+        return self._colours(camera)
 
     def depth(self, data: mujoco.MjData, camera: str) -> F32:
         """(H, W) distance along the optical axis [m]; NaN beyond DEPTH_RANGE_M."""
@@ -105,16 +103,8 @@ class SceneRenderer:
         view.type = mujoco.mjtCamera.mjCAMERA_FREE
         view.lookat, view.distance = np.asarray(look_at, np.float64), distance_m
         view.azimuth, view.elevation = azimuth_deg, elevation_deg
-        width, height = self.size(size_of)
-        image = np.empty((height, width, 3), np.uint8)
-        self._draw(data, view, (width, height), self._everything, image, None, edit)
-        return np.ascontiguousarray(image[::-1])
-
-    def _fixed(self, camera: str) -> mujoco.MjvCamera:
-        view = mujoco.MjvCamera()
-        view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        view.fixedcamid = self._model.camera(camera).id
-        return view
+        self._draw(data, size_of, self._everything, view=view, edit=edit)
+        return self._colours(size_of)
 
     def robot_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
         """(H, W) depth [m] of the robot alone at the given encoder angles [rad]; NaN where no robot is.
@@ -127,7 +117,7 @@ class SceneRenderer:
     def cell_depth(self, joint_position: npt.ArrayLike, camera: str) -> F32:
         """(H, W) depth [m] of bed, pillow, arm board and room without person and robot; NaN beyond DEPTH_RANGE_M.
 
-        What a real cell's map of itself, made before anyone lay down, pillow and board in their places, shows from
+        A real cell has it from a map of itself, with pillow and board in their places and an empty bed, seen from
         where the cell believes the camera to be; for a camera on the hand, at the encoder angles [rad]. A camera
         that stands is rendered once.
         """
@@ -142,15 +132,13 @@ class SceneRenderer:
     def truth(self, data: mujoco.MjData, camera: str) -> TrueView:
         """What is seen, by the simulator's own labels; for the scorer, never for a policy."""
         self.renders["truth"] += 1
-        width, height = self.size(camera)
-        image, buffer = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
-        self._draw(data, self._fixed(camera), (width, height), self._everything, image, buffer, labels=True)
+        self._draw(data, camera, self._everything, flat=True)
         _, scene = self._prepared()
         skin = int(mujoco.mjtObj.mjOBJ_SKIN)
         # MuJoCo writes label + 1 as a 24-bit number, red lowest.
         mine = [g.segid + 1 for g in scene.geoms[: scene.ngeom] if g.objtype == skin]
-        label = image[::-1].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16])
-        return TrueView(human=np.isin(label, mine), depth=self._metres(buffer))
+        label = self._colours(camera).astype(np.int32) @ np.array([1, 1 << 8, 1 << 16])
+        return TrueView(human=np.isin(label, mine), depth=self._metres(camera))
 
     def at_encoders(self, joint_position: npt.ArrayLike) -> mujoco.MjData:
         """The world as encoders [rad] and calibration know it, without the person; valid until the next call."""
@@ -202,42 +190,51 @@ class SceneRenderer:
         self.close()
 
     def _depth(self, data: mujoco.MjData, camera: str, option: mujoco.MjvOption) -> F32:
+        # Flat colours are enough for depth, and faster.
+        self._draw(data, camera, option, flat=True)
+        return self._metres(camera)
+
+    def _draw(
+        self,
+        data: mujoco.MjData,
+        camera: str,
+        option: mujoco.MjvOption,
+        *,
+        flat: bool = False,
+        view: mujoco.MjvCamera | None = None,
+        edit: Callable[[mujoco.MjvScene], None] | None = None,
+    ) -> None:
+        """Draw in the size of a camera and what that camera sees, or another view."""
+        size = self.size(camera)
+        fixed = mujoco.MjvCamera()
+        fixed.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        fixed.fixedcamid = self._model.camera(camera).id
+        mjr, scene = self._prepared()
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self._model, data, option, mujoco.MjvPerturb(), view or fixed, everything, scene)
+        if edit is not None:
+            edit(scene)
+        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = flat
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, *size), scene, mjr)
+
+    def _colours(self, camera: str) -> npt.NDArray[np.uint8]:
+        """Return the colours (H, W, 3) of the last drawing."""
+        width, height = self.size(camera)
+        image = np.empty((height, width, 3), np.uint8)
+        mujoco.mjr_readPixels(image, None, mujoco.MjrRect(0, 0, width, height), self._prepared()[0])
+        return np.ascontiguousarray(image[::-1])
+
+    def _metres(self, camera: str) -> F32:
+        """Return the depth (H, W) [m] of the last drawing."""
         width, height = self.size(camera)
         buffer = np.empty((height, width), np.float32)
-        self._draw(data, self._fixed(camera), (width, height), option, None, buffer)
-        return self._metres(buffer)
-
-    def _metres(self, buffer: F32) -> F32:
+        mujoco.mjr_readPixels(None, buffer, mujoco.MjrRect(0, 0, width, height), self._prepared()[0])
         near = self._model.vis.map.znear * self._model.stat.extent
         far = self._model.vis.map.zfar * self._model.stat.extent
         # MuJoCo stores reversed depth: 1 at the near plane, 0 at the far plane.
         metres = near * far / (buffer[::-1].astype(np.float64) * (far - near) + near)
         metres[metres > min(DEPTH_RANGE_M, 0.999 * far)] = np.nan
         return metres.astype(np.float32)
-
-    def _draw(
-        self,
-        data: mujoco.MjData,
-        view: mujoco.MjvCamera,
-        size: tuple[int, int],
-        option: mujoco.MjvOption,
-        rgb: npt.NDArray[np.uint8] | None,
-        depth: F32 | None,
-        edit: Callable[[mujoco.MjvScene], None] | None = None,
-        labels: bool = False,
-    ) -> None:
-        mjr, scene = self._prepared()
-        mujoco.mjv_updateScene(
-            self._model, data, option, mujoco.MjvPerturb(), view, mujoco.mjtCatBit.mjCAT_ALL.value, scene
-        )
-        if edit is not None:
-            edit(scene)
-        # Flat colours are enough for depth, and faster.
-        flat = labels or rgb is None
-        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = flat
-        rect = mujoco.MjrRect(0, 0, *size)
-        mujoco.mjr_render(rect, scene, mjr)
-        mujoco.mjr_readPixels(rgb, depth, rect, mjr)
 
     def _prepared(self) -> tuple[mujoco.MjrContext, mujoco.MjvScene]:
         if self._mjr is not None and self._scene is not None:

@@ -1,4 +1,4 @@
-"""A compiled world in motion: steps, state and sensors, whose values of every physics step are read in one gather."""
+"""A compiled world in motion: settles the person, moves the robot's target, and reads every sensor at every step."""
 
 from __future__ import annotations
 
@@ -23,13 +23,11 @@ from carecontact.tissue.life import Life
 from carecontact.tissue.plugin import Readings, Rings
 from carecontact.world.scene import HAND_SENSOR, TIP_SENSOR, Scene, plate_sensor
 
-# Reads every sensor's value at every physics step from ``MjData.history`` in one gather.
-
 F64 = npt.NDArray[np.float64]
 
 
 class SensorHistory:
-    """Samples of a control period.
+    """Reads the sensors' values of a control period from ``MjData.history`` in one gather.
 
     MuJoCo 4.0 lays a sensor's ring buffer out as: time of the last reading, index of the newest slot, ``n`` times,
     ``n`` values of the sensor's dimension.
@@ -49,14 +47,8 @@ class SensorHistory:
         self._index = np.concatenate(columns)[None] + np.arange(self.samples)[:, None] * np.repeat(dim, dim)[None]
         self._cursor = int(address[0]) + 1
         self._times = int(address[0]) + self.HEADER
-        self._columns = {
-            model.sensor(i).name: slice(int(a), int(a + d))
-            for i, (a, d) in enumerate(zip(model.sensor_adr, dim, strict=True))
-        }
-
-    def columns(self, sensor: str) -> slice:
-        """Where a sensor's components are in a row of ``last``."""
-        return self._columns[sensor]
+        self.columns = {model.sensor(i).name: model.sensor_adr[i] + np.arange(dim[i]) for i in range(model.nsensor)}
+        """Sensor -> the columns of its components in a row of ``last``."""
 
     def last(self, data: mujoco.MjData, count: int) -> tuple[F64, F64]:
         """Times (count,) and values (count, nsensordata) of the last ``count`` steps, oldest first.
@@ -70,13 +62,11 @@ class SensorHistory:
         return history.take(self._times + order), history.take(self._index.take(order, 0))
 
 
-# A compiled scene that runs: settle the person, move the impedance target, step, keep every sensor sample.
-
-SOLVER_WARNINGS = (
-    mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC,
-    mujoco.mjtWarning.mjWARN_CONTACTFULL, mujoco.mjtWarning.mjWARN_CNSTRFULL, mujoco.mjtWarning.mjWARN_INERTIA,
-)  # fmt: skip
-
+SOLVER_WARNINGS = [
+    getattr(mujoco.mjtWarning, f"mjWARN_{name}")
+    for name in ("BADQPOS", "BADQVEL", "BADQACC", "CONTACTFULL", "CNSTRFULL", "INERTIA")
+]
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 ROUNDING = 1e-9
 """Share of a force that is a difference of two sums of the same numbers."""
 UNSOLVED_M = 1e-5
@@ -148,7 +138,7 @@ class Simulation:
         self._rings = Rings(list(self.tissue.values()))
         self.life = Life(self.model) if Life.exists(self.model) else None
         """What the person does by itself; None where it never does anything."""
-        self._read = _Columns(self.history, scene.hinges, self.protocol)
+        self._read = _SampleReader(self.history, scene.hinges, self.protocol)
         law = scene.control.joint
         self.control = (
             CartesianControl(self.model, self.data, self.protocol)
@@ -168,16 +158,9 @@ class Simulation:
         return self._steps * self.model.opt.timestep
 
     @property
-    def joint_columns(self) -> npt.NDArray[np.int64]:
-        """(J,) columns of the scored joints in a row of sensor values."""
-        return self._read.joints
-
-    @property
     def pose_base_in_world(self) -> F64:
         """(7,)"""
         return np.r_[self.data.xpos[self._base.id], self.data.xquat[self._base.id]]
-
-    # -- settling ---------------------------------------------------------------------------------------------------
 
     def settle(self, comfort_arm_deg: float) -> Settled:
         """Lay the person down, park the robot and wait until nothing moves.
@@ -187,7 +170,8 @@ class Simulation:
         Raises SettleError if the person still moves after ``phases.settle_max_s``.
         """
         phases, model, data = self.protocol.phases, self.model, self.data
-        self._lay_down(comfort_arm_deg)
+        mujoco.mj_resetData(model, data)
+        data.qpos[self._human_qpos] = self._rest_joints_at(comfort_arm_deg)
         self.park()
         period = round(self.protocol.physics.target_period_s / model.opt.timestep)
         calm_s = 0.0
@@ -197,8 +181,7 @@ class Simulation:
             calm_s = calm_s + period * model.opt.timestep if speed < phases.settle_speed_m_s else 0.0
             if data.time >= phases.settle_min_s and calm_s >= phases.settle_hold_s:
                 break
-            warnings = self.solver_warnings()
-            if warnings:
+            if warnings := self.solver_warnings():
                 raise SettleError(f"MuJoCo warned while the person settled: {', '.join(warnings)}")
             if data.time >= phases.settle_max_s or not np.isfinite(speed):
                 raise SettleError(
@@ -206,14 +189,11 @@ class Simulation:
                     f"(limit {phases.settle_speed_m_s * 1000:.0f} mm/s)"
                 )
         return Settled(
-            duration_s=float(data.time), comfort_arm_deg=self.comfort_arm_deg(),
+            duration_s=float(data.time),
+            comfort_arm_deg=self.comfort_arm_deg(),
             joint_position=data.qpos[self._human_qpos].copy(),
-            wrist_in_world=data.xpos[model.body(body_name("right_hand")).id].copy(),
-        )  # fmt: skip
-
-    def _lay_down(self, comfort_arm_deg: float) -> None:
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[self._human_qpos] = self._rest_joints_at(comfort_arm_deg)
+            wrist_in_world=self._place_of("right_hand").copy(),
+        )
 
     def _rest_joints_at(self, comfort_arm_deg: float) -> F64:
         """Set the passive joints' rest angles, which live in the model; returns the lying pose (J,) [rad]."""
@@ -238,17 +218,17 @@ class Simulation:
 
     def comfort_arm_deg(self) -> float:
         """Humerus long axis against the trunk's long axis in the trunk's frontal plane [deg]."""
-        shoulder, elbow = (self.data.body(body_name(n)).xpos for n in ("right_upper_arm", "right_forearm"))
         # The thorax's axes are those of the mesh frame: x to the left, z up the trunk.
-        x, _, z = (elbow - shoulder) @ self.data.body(body_name("thorax")).xmat.reshape(3, 3)
+        humerus = self._place_of("right_forearm") - self._place_of("right_upper_arm")
+        x, _, z = humerus @ self.data.body(body_name("thorax")).xmat.reshape(3, 3)
         return float(np.degrees(np.arctan2(-x, -z)))
 
     def wrist_radius_m(self) -> float:
         """Horizontal distance of the right wrist from the shoulder [m]."""
-        shoulder, wrist = (self.data.body(body_name(n)).xpos for n in ("right_upper_arm", "right_hand"))
-        return float(np.hypot(*(wrist - shoulder)[:2]))
+        return float(np.hypot(*(self._place_of("right_hand") - self._place_of("right_upper_arm"))[:2]))
 
-    # -- running ----------------------------------------------------------------------------------------------------
+    def _place_of(self, segment: str) -> F64:
+        return self.data.body(body_name(segment)).xpos
 
     def start(self) -> None:
         """Begin the trial: t = 0."""
@@ -264,7 +244,7 @@ class Simulation:
 
     def set_goal(self, pose_in_base: F64 | None, period_s: float) -> None:
         """Move the Cartesian impedance's target to a pose (7,) in base; None goes on toward the last one."""
-        self.impedance.set_goal(pose_in_base, period_s)
+        self.impedance.target.set_goal(pose_in_base, period_s)
 
     def set_stiffness(self, translational: float, rotational: float) -> None:
         """Of the Cartesian impedance: [N/m] and [N m/rad]."""
@@ -276,11 +256,6 @@ class Simulation:
             raise SceneError(f"{type(self.control).__name__}: this world's robot takes poses of its tool only")
         self.control.set_target(joint_position)
         self._until_target = 0
-
-    @property
-    def fastest_joint(self) -> tuple[int, float] | None:
-        """The first joint of the robot that was faster than its control allows, and its speed [rad/s]."""
-        return self.control.fastest if isinstance(self.control, JointControl) else None
 
     def advance(self, steps: int) -> list[Samples]:
         """Run ``steps`` physics steps, with one C call between two moves of the target, which has its own period."""
@@ -316,14 +291,14 @@ class Simulation:
         """Continue from a vector of ``integration_state`` at a new t = 0; the impedance target stays where it was.
 
         ``comfort_arm_deg`` is the angle at which the person was laid: the joints' rest angles are not in the state, and
-        neither is what a person does by itself. Raises SceneError for a state of another size, and for the state of a
-        person who is awake where nobody woke the person of this world.
+        neither is the person's own motion. Raises SceneError for a state of another size, and for the state of a person
+        who is awake where the person of this world never woke.
         """
-        size = mujoco.mj_stateSize(self.model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        size = mujoco.mj_stateSize(self.model, STATE)
         if np.shape(state) != (size,):
             raise SceneError(f"the state of this world has {size} numbers; the given one has shape {np.shape(state)}")
         self._rest_joints_at(comfort_arm_deg)
-        mujoco.mj_setState(self.model, self.data, state, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_setState(self.model, self.data, state, STATE)
         if self.life is not None:
             self.life.check_known(self.data)
         mujoco.mj_forward(self.model, self.data)
@@ -346,9 +321,8 @@ class Simulation:
 
     def integration_state(self) -> F64:
         """The state from which the run can be continued bit for bit, given the model with its gains and rest angles."""
-        spec = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-        out = np.zeros(mujoco.mj_stateSize(self.model, spec))
-        mujoco.mj_getState(self.model, self.data, out, spec)
+        out = np.zeros(mujoco.mj_stateSize(self.model, STATE))
+        mujoco.mj_getState(self.model, self.data, out, STATE)
         return out
 
     def _samples(self, count: int) -> Samples:
@@ -362,15 +336,15 @@ class Simulation:
         return samples
 
 
-class _Columns:
-    """Where each stream lies in a row of sensor values."""
+class _SampleReader:
+    """Turns rows of sensor values into samples."""
 
     SLOT = 4
     """Numbers in a contact slot of the normal sensors: found, then force in the contact frame, normal first."""
 
     def __init__(self, history: SensorHistory, hinges: tuple[Hinge, ...], protocol: Protocol) -> None:
         def span(*names: str) -> npt.NDArray[np.int64]:
-            return np.array([np.arange(history.columns(n).start, history.columns(n).stop) for n in names])
+            return np.array([history.columns[name] for name in names])
 
         gathered: list[npt.NDArray[np.int64]] = []
 
@@ -380,7 +354,6 @@ class _Columns:
             gathered.append(columns)
             return lambda row: row[:, first : first + columns.size].reshape(-1, *shape)
 
-        regions = protocol.regions
         self._soft = np.array([SEGMENTS.index(REGIONS[r].segment) for r in protocol.soft_regions])
         # Net force and its centroid (S, 6) of the rigid surfaces.
         self._net = stream(span(*(f"net_{s}" for s in SEGMENTS)))
@@ -388,26 +361,25 @@ class _Columns:
         self._found, self._normal = stream(normal[:, 0]), normal[:, 1 :: self.SLOT]
         # (S, plates) 1 where a plate belongs to the surface of a segment, else 0.
         self._plates_of = np.array([[float(plate.segment == s) for plate in PLATES] for s in SEGMENTS])
-        self._plate_net = span(*(f"net_{plate_sensor(plate.name)}" for plate in PLATES))
-        normal = span(*(f"normal_{plate_sensor(plate.name)}" for plate in PLATES))
+        plates = [plate_sensor(plate.name) for plate in PLATES]
+        self._plate_net = span(*(f"net_{plate}" for plate in plates))
+        normal = span(*(f"normal_{plate}" for plate in plates))
         self._plate_found, self._plate_normal = stream(normal[:, 0]), normal[:, 1 :: self.SLOT]
         self._parts = span(TIP_SENSOR, HAND_SENSOR)[:, 1 :: self.SLOT]
-        self.joints = span(*(f"q_{hinge.name}" for hinge in hinges))[:, 0]
-        self._angles = stream(self.joints)
+        self._angles = stream(span(*(f"q_{hinge.name}" for hinge in hinges))[:, 0])
         self._range = np.radians([hinge.range_deg for hinge in hinges]).T
         self._stop = np.array([cubic_nm_rad3(hinge.name) for hinge in hinges])
         self._tcp_pose = stream(np.concatenate([span("tcp_position")[0], span("tcp_quat")[0]]))
         self._tcp_rates = stream(span("tcp_velocity", "tcp_rotation"))
         self._wrist = stream(span("wrist_position")[0])
-        self._regions = stream(np.concatenate(
-            [span(*(f"region_{r}_position" for r in regions)), span(*(f"region_{r}_quat" for r in regions))], 1
-        ))  # fmt: skip
+        position, quat = (span(*(f"region_{r}_{part}" for r in protocol.regions)) for part in ("position", "quat"))
+        self._regions = stream(np.concatenate([position, quat], 1))
         self._gathered = np.concatenate([columns.ravel() for columns in gathered])
 
     def samples(self, time_s: F64, values: F64, felt: npt.NDArray[np.void]) -> tuple[Samples, bool]:
         """Return the samples, and whether a sum of normal forces misses contacts that found no slot.
 
-        ``felt``: (n, R) rows of ``kernel.readings.ROW``, of the protocol's soft regions.
+        ``felt``: (n, R) rows of ``tissue.plugin.ROW``, of the protocol's soft regions.
         """
         row = values.take(self._gathered, 1)
         rigid, found, on_plate = self._net(row), self._found(row), self._plate_found(row)
@@ -420,7 +392,7 @@ class _Columns:
         centroid = weight * rigid[..., 3:]
         centroid[:, self._soft] += of_shell * felt["centroid_m"]
         weight[:, self._soft] += of_shell
-        # In the order of the slots, whatever else numpy would find faster: the sum's last bit depends on it.
+        # In the order of the slots, because the sum's last bit depends on it.
         hard = np.abs(values[:, self._normal]).sum(2) if rigid.any() else np.zeros(weight.shape[:2])
         normal, net = hard.copy(), rigid[..., :3]
         normal[:, self._soft] += felt["normal_n"]
@@ -439,12 +411,20 @@ class _Columns:
         angle, rates = self._angles(row), lengths(self._tcp_rates(row))
         beside_force, beside_normal = self._beside(values, felt, net, hard)
         samples = Samples(
-            time_s=time_s, force=force, normal=normal, centroid=centroid, beside_force=beside_force,
-            beside_normal=beside_normal, human_joint=angle,
+            time_s=time_s,
+            force=force,
+            normal=normal,
+            centroid=centroid,
+            beside_force=beside_force,
+            beside_normal=beside_normal,
+            human_joint=angle,
             human_reaction=end_stop_nm(past_range(angle, *self._range), self._stop),
-            tcp_pose=self._tcp_pose(row), tcp_speed=rates[:, 0], tcp_rotation_speed=rates[:, 1],
-            wrist=self._wrist(row), region_pose=self._regions(row),
-        )  # fmt: skip
+            tcp_pose=self._tcp_pose(row),
+            tcp_speed=rates[:, 0],
+            tcp_rotation_speed=rates[:, 1],
+            wrist=self._wrist(row),
+            region_pose=self._regions(row),
+        )
         return samples, bool(overfull)
 
     def _beside(

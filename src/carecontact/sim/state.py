@@ -1,5 +1,4 @@
-"""What the state of a simulation says directly: the robot's encoders and tool pose, and where the person's skin really
-is."""
+"""What a simulation's state contains directly: the robot's encoders and tool pose, and the place of the skin."""
 
 from __future__ import annotations
 
@@ -9,13 +8,11 @@ import numpy.typing as npt
 
 from carecontact.interface.robot import Robot
 
-# What a real robot knows about itself: its joint angles and, computed from them, the pose of its tool.
-
 F64 = npt.NDArray[np.float64]
 
 
 class Proprioception:
-    """Reads joint encoders and poses in the base frame. No torque, no force."""
+    """Reads what a real robot knows about itself: joint encoders and poses in the base frame; no torque, no force."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         joints = [model.joint(name) for name in robot.joints]
@@ -52,8 +49,6 @@ class Proprioception:
         """(4, 4), z out of the tool."""
         return self.in_base(data, data.site_xpos[self._tcp], data.site_xmat[self._tcp])
 
-
-# The visible skin as it lies in the world, for the scorer and for pictures.
 
 ALL_SIDES = 0b11110000
 """Four truths as ``np.packbits`` packs them."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,16 +15,12 @@ from carecontact.stats.proportions import unpaired_difference, wilson_interval
 from carecontact.stats.ranks import SignFlip, sign_flip
 from carecontact.stats.values import check_level, complete_pairs
 
-# Resamples of persons, where each stratum keeps its share of them.
-
 GENERATOR_SEED = 20260
 RESAMPLES = 10_000
 Floats = npt.NDArray[np.float64]
 
 
-def stratified_weights(
-    strata: Sequence[Hashable], *, resamples: int = RESAMPLES, generator_seed: int = GENERATOR_SEED
-) -> Floats:
+def stratified_weights(strata: Sequence[Hashable], *, resamples: int = RESAMPLES) -> Floats:
     """(R, K) how much each of K persons counts in each resample; each row adds up to K.
 
     Of a stratum's n persons, n - 1 are drawn with replacement and count n / (n - 1) each: the bootstrap of Rao and Wu,
@@ -41,7 +37,7 @@ def stratified_weights(
         raise ValueError(f"{counted(len(strata), 'person')}; expected at least 2")
     if resamples < 1:
         raise ValueError(f"resamples = {resamples}; expected at least 1")
-    generator = np.random.default_rng(generator_seed)
+    generator = np.random.default_rng(GENERATOR_SEED)
     weights = np.zeros((resamples, len(strata)))
     for members in _groups(strata):
         n = len(members)
@@ -72,9 +68,6 @@ def _groups(strata: Sequence[Hashable]) -> list[list[int]]:
     elif alone:
         groups.append(alone)
     return groups
-
-
-# Rates over persons: trials of one person belong together, and bodies are fixed strata.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +106,6 @@ def person_rate(
     strata: Mapping[int, Hashable] | None = None,
     confidence: float = 0.95,
     resamples: int = RESAMPLES,
-    generator_seed: int = GENERATOR_SEED,
 ) -> PersonRate:
     """Rate of all trials, with the percentile interval of ``stratified_weights``.
 
@@ -134,13 +126,12 @@ def person_rate(
     n, k, people = len(values), int(values.sum()), len(names)
     if not n:
         return PersonRate(k=0, n=0, persons=0, estimate=None, low=0.0, high=1.0, confidence=confidence)
-    got, of = np.bincount(of_trial, values, people), np.bincount(of_trial, minlength=people)
-    low, high = 0.0, 1.0
+    got, of, low, high = np.bincount(of_trial, values, people), np.bincount(of_trial, minlength=people), 0.0, 1.0
     if people > 1 and np.ptp(got / of) == 0:
         wilson = wilson_interval(round(people * k / n), people, confidence)
         low, high = min(wilson.low, k / n), max(wilson.high, k / n)
     elif people > 1:
-        weights = stratified_weights(strata_of(names, strata), resamples=resamples, generator_seed=generator_seed)
+        weights = stratified_weights(strata_of(names, strata), resamples=resamples)
         low, high = _between((weights @ got) / (weights @ of), k / n, confidence)
     return PersonRate(k=k, n=n, persons=people, estimate=k / n, low=low, high=high, confidence=confidence)
 
@@ -152,8 +143,6 @@ def person_difference(
     persons: Sequence[int],
     strata: Mapping[int, Hashable] | None = None,
     confidence: float = 0.95,
-    resamples: int = RESAMPLES,
-    generator_seed: int = GENERATOR_SEED,
 ) -> PersonDifference:
     """Difference of two rates over the same trials, with an interval and a test over persons.
 
@@ -168,16 +157,14 @@ def person_difference(
     people, n = len(names), len(a)
     excess = np.bincount(of_trial, a - b, people)
     test = sign_flip([round(value) for value in excess.tolist()])
-    estimate = low = high = None
-    if n:
-        estimate = float((a - b).mean())
+    estimate, low, high = float((a - b).mean()) if n else None, None, None
     if estimate is not None and people > 1:
         of = np.bincount(of_trial, minlength=people)
         if np.ptp(excess / of) == 0:
             alike = unpaired_difference(round(people * a.mean()), people, round(people * b.mean()), people, confidence)
             low, high = min(alike.low, estimate), max(alike.high, estimate)
         else:
-            weights = stratified_weights(strata_of(names, strata), resamples=resamples, generator_seed=generator_seed)
+            weights = stratified_weights(strata_of(names, strata))
             low, high = _between((weights @ excess) / (weights @ of), estimate, confidence)
     return PersonDifference(
         estimate=estimate, low=low, high=high, n=n, persons=people, test=test, confidence=confidence
@@ -196,8 +183,6 @@ def _between(found: Floats, estimate: float, confidence: float) -> tuple[float, 
     low, high = np.quantile(found, [0.5 - confidence / 2, 0.5 + confidence / 2])
     return min(float(low), estimate), max(float(high), estimate)
 
-
-# Intervals of a paired difference from resampled seeds: all trials of one seed are drawn together.
 
 Statistic = Literal["median_difference", "difference_of_medians", "difference_of_means"]
 AT_ONCE = 2_000_000
@@ -237,7 +222,6 @@ def clustered_bootstrap(
     statistic: Statistic = "median_difference",
     confidence: float = 0.95,
     resamples: int = RESAMPLES,
-    generator_seed: int = GENERATOR_SEED,
 ) -> BootstrapDifference:
     """Percentile interval of a paired difference when whole clusters are drawn with replacement.
 
@@ -272,16 +256,16 @@ def clustered_bootstrap(
     if len(a):
         estimate = float(_statistic(a, b, of_pair, np.ones((1, n_clusters), np.int64), statistic)[0])
     if estimate is not None and n_clusters > 1:
-        drawn = (
-            _draw(n_clusters, resamples, generator_seed)
-            if strata is None
-            else stratified_weights(
-                strata_of(names.tolist(), strata), resamples=resamples, generator_seed=generator_seed
-            )
-        )
-        found = _statistics(a, b, of_pair, drawn, statistic)
-        quantiles = np.quantile(found, [0.5 - confidence / 2, 0.5 + confidence / 2])
-        low, high = min(float(quantiles[0]), estimate), max(float(quantiles[1]), estimate)
+        if strata is None:
+            generator, alike = np.random.default_rng(GENERATOR_SEED), np.full(n_clusters, 1.0 / n_clusters)
+            drawn = generator.multinomial(n_clusters, alike, size=resamples)
+        else:
+            groups = strata_of(names.tolist(), strata)
+            drawn = stratified_weights(groups, resamples=resamples)
+        step = max(1, AT_ONCE // len(a))
+        parts = [_statistic(a, b, of_pair, drawn[i : i + step], statistic) for i in range(0, resamples, step)]
+        found = np.concatenate(parts)
+        low, high = _between(found, estimate, confidence)
         spread = float(found.std())
     return BootstrapDifference(
         statistic=statistic,
@@ -293,21 +277,7 @@ def clustered_bootstrap(
         n_clusters=n_clusters,
         confidence=confidence,
         resamples=resamples,
-        generator_seed=generator_seed,
-    )
-
-
-def _draw(n_clusters: int, resamples: int, generator_seed: int) -> Counts:
-    """(R, K) how often each cluster is in each resample."""
-    generator = np.random.default_rng(generator_seed)
-    return generator.multinomial(n_clusters, np.full(n_clusters, 1.0 / n_clusters), size=resamples)
-
-
-def _statistics(a: Floats, b: Floats, of_pair: Counts, drawn: Counts | Floats, statistic: Statistic) -> Floats:
-    """(R,) the statistic of every resample, computed for as many at a time as AT_ONCE allows."""
-    step = max(1, AT_ONCE // len(a))
-    return np.concatenate(
-        [_statistic(a, b, of_pair, drawn[i : i + step], statistic) for i in range(0, len(drawn), step)]
+        generator_seed=GENERATOR_SEED,
     )
 
 
@@ -334,8 +304,6 @@ def _medians(values: Floats, of_pair: Counts, times: Counts | Floats) -> Floats:
     upper = ordered[np.argmax(reached > half + ROUNDING, axis=1)]
     return (lower + upper) / 2
 
-
-# How the least served persons fare: the mean rate of the lowest share of them.
 
 DECILE = 0.1
 PERMUTATIONS = 2_000
@@ -365,9 +333,6 @@ def worst_share(
     strata: Mapping[int, Hashable] | None = None,
     share: float = DECILE,
     confidence: float = 0.95,
-    resamples: int = RESAMPLES,
-    permutations: int = PERMUTATIONS,
-    generator_seed: int = GENERATOR_SEED,
 ) -> WorstShare:
     """Mean of the persons' rates over the lowest ``share`` of them.
 
@@ -387,7 +352,7 @@ def worst_share(
     check_level("confidence", confidence)
     if not len(passed) == len(persons) == len(tasks):
         raise ValueError(f"{len(passed)} trials, {len(persons)} persons, {len(tasks)} tasks; expected as many of each")
-    names, of_trial = np.unique(np.asarray(persons, np.int64), return_inverse=True)
+    names, of_trial = _persons(passed, persons)
     people, values = len(names), np.asarray(passed, np.float64)
     if not people:
         return WorstShare(estimate=None, low=None, high=None, by_chance=None, pvalue=None, share=share, persons=0)
@@ -396,14 +361,12 @@ def worst_share(
     estimate = float(_lowest(rates[None], np.ones((1, people)), share)[0])
     low = high = by_chance = pvalue = None
     if people > 1 and np.ptp(rates) > 0:
-        groups = [0] * people if strata is None else [strata[name] for name in names.tolist()]
-        weights = stratified_weights(groups, resamples=resamples, generator_seed=generator_seed)
-        found = np.quantile(_lowest(rates[None], weights, share), [0.5 - confidence / 2, 0.5 + confidence / 2])
-        low, high = min(float(found[0]), estimate), max(float(found[1]), estimate)
+        weights = stratified_weights(strata_of(names, strata))
+        low, high = _between(_lowest(rates[None], weights, share), estimate, confidence)
     if people > 1:
-        drawn = _permuted(values, of_trial, tasks, people, permutations, generator_seed) / of
+        drawn = _permuted(values, of_trial, tasks, people) / of
         alike = _lowest(drawn, np.ones((1, people)), share)
-        by_chance, pvalue = float(alike.mean()), float((1 + (alike <= estimate + 1e-12).sum()) / (1 + permutations))
+        by_chance, pvalue = float(alike.mean()), float((1 + (alike <= estimate + 1e-12).sum()) / (1 + PERMUTATIONS))
     return WorstShare(
         estimate=estimate, low=low, high=high, by_chance=by_chance, pvalue=pvalue, share=share, persons=people
     )
@@ -421,16 +384,14 @@ def _lowest(rates: Floats, weights: Floats, share: float) -> Floats:
     return (taken * ordered).sum(axis=1) / taken.sum(axis=1)
 
 
-def _permuted(
-    values: Floats, of_trial: npt.NDArray[np.intp], tasks: Sequence[Hashable], people: int, times: int, seed: int
-) -> Floats:
-    """(R, K) passed trials of each person after each task's outcomes were dealt anew among its trials."""
-    generator = np.random.default_rng(seed)
-    total = np.zeros((times, people))
-    of_task: dict[Hashable, list[int]] = {}
+def _permuted(values: Floats, of_trial: npt.NDArray[np.intp], tasks: Sequence[Hashable], people: int) -> Floats:
+    """(R, K) passed trials of each person after each task's outcomes were dealt again among its trials."""
+    generator = np.random.default_rng(GENERATOR_SEED)
+    total = np.zeros((PERMUTATIONS, people))
+    of_task: defaultdict[Hashable, list[int]] = defaultdict(list)
     for trial, task in enumerate(tasks):
-        of_task.setdefault(task, []).append(trial)
+        of_task[task].append(trial)
     for trials in of_task.values():
-        dealt = generator.permuted(np.tile(values[trials], (times, 1)), axis=1)
+        dealt = generator.permuted(np.tile(values[trials], (PERMUTATIONS, 1)), axis=1)
         np.add.at(total.T, of_trial[trials], dealt.T)
     return total

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from math import sqrt
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.stats.values import check_count, check_counts, check_level
-
-# Rates and their intervals.
+from carecontact.stats.values import check_count, check_counts, check_level, scipy_stats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +31,7 @@ def wilson_interval(k: int, n: int, confidence: float = 0.95) -> Proportion:
     Raises ValueError unless k and n are whole numbers, 0 <= k <= n and 0 < confidence < 1.
     """
     k, n = check_counts(k, n)
-    if not 0 < confidence < 1:
-        raise ValueError(f"confidence = {confidence}; expected between 0 and 1")
+    check_level("confidence", confidence)
     if n == 0:
         return Proportion(k=k, n=n, confidence=confidence, estimate=None, low=0.0, high=1.0)
     z2 = NormalDist().inv_cdf(0.5 + confidence / 2) ** 2
@@ -47,9 +42,6 @@ def wilson_interval(k: int, n: int, confidence: float = 0.95) -> Proportion:
     low = 0.0 if k == 0 else centre - half
     high = 1.0 if k == n else centre + half
     return Proportion(k=k, n=n, confidence=confidence, estimate=p, low=low, high=high)
-
-
-# Tests whether two methods differ in a rate, trial by trial.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +60,8 @@ def mcnemar_exact(only_first: int, only_second: int) -> McNemar:
     """
     only_first, only_second = (check_count("discordant pairs", k) for k in (only_first, only_second))
     n = only_first + only_second
-    result: Any = import_module("scipy.stats").binomtest(only_first, n, 0.5) if n else None
-    return McNemar(
-        pvalue=1.0 if result is None else float(result.pvalue), only_first=only_first, only_second=only_second
-    )
-
-
-# Intervals of a difference of two rates, from the Wilson intervals of both.
+    pvalue = float(scipy_stats().binomtest(only_first, n, 0.5).pvalue) if n else 1.0
+    return McNemar(pvalue=pvalue, only_first=only_first, only_second=only_second)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +159,7 @@ def paired_detectable_difference(
     _check(power, alpha)
     if n < 0 or not 0 <= discordance <= 1:
         raise ValueError(f"n = {n}, discordance = {discordance}; expected n >= 0 and 0 <= discordance <= 1")
-    binom: Any = import_module("scipy.stats").binom
+    binom = scipy_stats().binom
     discordant = np.arange(n + 1)
     # Reject if the smaller count is at most this: -1 where even 0 would not do. ppf lies one above unless on alpha / 2.
     critical: npt.NDArray[np.float64] = binom.ppf(alpha / 2, discordant, 0.5)

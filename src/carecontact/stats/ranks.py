@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from math import inf, sqrt
 from statistics import NormalDist
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from carecontact.stats.values import check_counts, check_pairs, check_values, complete_pairs
-
-# Tests whether two methods differ, person by person.
+from carecontact.stats.values import check_counts, check_pairs, check_values, complete_pairs, scipy_stats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,19 +42,21 @@ def sign_flip(differences: Sequence[int]) -> SignFlip:
     if not sizes:
         return SignFlip(pvalue=1.0 if whole else None, n=len(whole), n_unequal=0)
     total = sum(sizes)
-    probability = np.zeros(total + 1)  # of the sum of those with a plus
+    distance = np.abs(2 * np.arange(total + 1) - total)
+    pvalue = min(1.0, float(_chance_of_sums(sizes)[distance >= abs(sum(whole))].sum()))
+    return SignFlip(pvalue=pvalue, n=len(whole), n_unequal=len(sizes))
+
+
+def _chance_of_sums(sizes: Sequence[int]) -> npt.NDArray[np.float64]:
+    """Probability of each sum of the sizes that have a plus, where each has either sign with 1/2."""
+    probability = np.zeros(sum(sizes) + 1)
     probability[0] = 1.0
     for size in sizes:
-        shifted = np.zeros_like(probability)
-        shifted[size:] = probability[:-size]
-        probability = (probability + shifted) / 2
-    distance = np.abs(2 * np.arange(total + 1) - total)
-    return SignFlip(
-        pvalue=min(1.0, float(probability[distance >= abs(sum(whole))].sum())), n=len(whole), n_unequal=len(sizes)
-    )
+        shifted = probability[:-size] / 2
+        probability /= 2
+        probability[size:] += shifted
+    return probability
 
-
-# Tests whether two methods differ in a score, trial by trial or with all trials of a seed together.
 
 EXACT_UP_TO = 400
 """Unequal pairs; the exact distribution needs memory that grows with their square and time with their cube."""
@@ -100,14 +100,16 @@ def signed_rank(
     differences = [a[i] - b[i] for i in unequal]
     if not differences:
         return SignedRank(pvalue=1.0 if a else None, rank_sum_first=0.0, rank_sum_second=0.0, n=len(a), n_unequal=0)
-    stats: Any = import_module("scipy.stats")
+    stats = scipy_stats()
     ranks = [float(r) for r in stats.rankdata([abs(d) for d in differences])]
     signed = [r if d > 0 else -r for r, d in zip(ranks, differences, strict=True)]
     larger, smaller = sum((r for r in signed if r > 0), 0.0), sum((-r for r in signed if r < 0), 0.0)
     if clusters is not None:
         pvalue = _of_clusters(signed, [clusters[kept[i]] for i in unequal])
     elif len(signed) <= EXACT_UP_TO:
-        pvalue = _exact(ranks, min(larger, smaller))
+        # Ranks of ties lie between two whole numbers.
+        sums = _chance_of_sums([round(2 * rank) for rank in ranks])
+        pvalue = 2 * float(sums[: round(2 * min(larger, smaller)) + 1].sum())
     else:
         # The ranks stand for the differences: the same test, and infinity never meets scipy's arithmetic.
         pvalue = float(stats.wilcoxon(signed, method="asymptotic").pvalue)
@@ -132,21 +134,6 @@ def _of_clusters(signed: list[float], clusters: list[int]) -> float:
     return 2 * NormalDist().cdf(-abs(sum(sums.values())) / spread) if spread else 1.0
 
 
-def _exact(ranks: list[float], smaller: float) -> float:
-    """2 P(T <= smaller) where each rank has either sign with 1/2, by adding rank after rank in units of 1/2."""
-    steps = [round(2 * r) for r in ranks]
-    probability = np.zeros(sum(steps) + 1)
-    probability[0] = 1.0
-    for step in steps:
-        shifted = probability[:-step].copy()
-        probability /= 2
-        probability[step:] += shifted / 2
-    return 2 * float(probability[: round(2 * smaller) + 1].sum())
-
-
-# Unpaired contrasts between two methods, as the paper makes them.
-
-
 @dataclass(frozen=True, kw_only=True)
 class FisherExact:
     pvalue: float
@@ -169,7 +156,7 @@ def fisher_exact(k1: int, n1: int, k2: int, n2: int) -> FisherExact:
     Raises ValueError unless both are whole numbers with 0 <= k <= n.
     """
     (k1, n1), (k2, n2) = check_counts(k1, n1), check_counts(k2, n2)
-    result: Any = import_module("scipy.stats").fisher_exact([[k1, n1 - k1], [k2, n2 - k2]])
+    result = scipy_stats().fisher_exact([[k1, n1 - k1], [k2, n2 - k2]])
     return FisherExact(pvalue=float(result.pvalue), odds_ratio=float(result.statistic))
 
 
@@ -179,7 +166,7 @@ def mann_whitney(first: Sequence[float], second: Sequence[float]) -> MannWhitney
         raise ValueError(f"samples of {len(first)} and {len(second)}; expected at least one value in each")
     check_values(first)
     check_values(second)
-    result: Any = import_module("scipy.stats").mannwhitneyu(first, second, alternative="two-sided")
+    result = scipy_stats().mannwhitneyu(first, second, alternative="two-sided")
     return MannWhitney(pvalue=float(result.pvalue), statistic=float(result.statistic))
 
 
@@ -279,7 +266,7 @@ def kendall_tau(first: Sequence[float | None], second: Sequence[float | None]) -
     a, b, _ = complete_pairs(first, second)
     if len(set(a)) < 2 or len(set(b)) < 2:
         return KendallTau(tau=None, pvalue=None, n=len(a))
-    result: Any = import_module("scipy.stats").kendalltau(a, b)
+    result = scipy_stats().kendalltau(a, b)
     return KendallTau(tau=float(result.statistic), pvalue=float(result.pvalue), n=len(a))
 
 

@@ -5,7 +5,15 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from operator import index
+from typing import Any
+
+
+def scipy_stats() -> Any:
+    """Return the package, which takes a second to import and is therefore imported where it is used."""
+    return import_module("scipy.stats")
+
 
 # Checks on the samples of every statistic: they hold numbers, or None where a score does not exist.
 
@@ -19,8 +27,7 @@ def check_counts(k: int, n: int) -> tuple[int, int]:
 
 
 def check_count(name: str, value: int) -> int:
-    """``value`` as Python's whole number. Raises ValueError unless it is a whole number from 0 up; True and False are
-    not."""
+    """``value`` as Python's whole number. Raises ValueError unless it is one from 0 up; True and False are none."""
     try:
         count = -1 if isinstance(value, bool) else index(value)
     except TypeError:
@@ -47,8 +54,7 @@ def check_values(values: Sequence[float | None]) -> None:
 def complete_pairs(
     first: Sequence[float | None], second: Sequence[float | None]
 ) -> tuple[list[float], list[float], list[int]]:
-    """Return both values of the pairs that have both, and the indices of those pairs. Raises as ``check_pairs``
-    does."""
+    """Return both values of the pairs that have both, and the indices of those pairs."""
     check_pairs(first, second)
     kept = [(a, b, i) for i, (a, b) in enumerate(zip(first, second, strict=True)) if a is not None and b is not None]
     return [a for a, _, _ in kept], [b for _, b, _ in kept], [i for _, _, i in kept]
@@ -58,9 +64,6 @@ def check_level(name: str, value: float) -> None:
     """Raises ValueError unless 0 < value < 1."""
     if not 0 < value < 1:
         raise ValueError(f"{name} = {value}; expected between 0 and 1")
-
-
-# Summaries that say how many values they are over.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +77,9 @@ class Median:
 def median(values: Iterable[float | None]) -> Median:
     """Median of the values that are not NA (None). Raises ValueError on NaN, which is a fault and never NA."""
     everything = list(values)
+    check_values(everything)
     valid = [v for v in everything if v is not None]
-    if any(v != v for v in valid):
-        raise ValueError("a value is NaN; pass None for NA")
     return Median(estimate=statistics.median(valid) if valid else None, n_valid=len(valid), n=len(everything))
-
-
-# Adjusts the p-values of a family of tests, so that the whole family errs no more often than one test.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,15 +26,15 @@ differently."""
 ELF_HEADER = 64
 """Length of the header of an ELF file of 64 bits."""
 FLAGS = (
-    "-std=c17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-fPIC", "-g0",
-    "-Wall", "-Wextra", "-Wshadow", "-Werror",
-)  # fmt: skip
+    *"-std=c17 -O3 -ffp-contract=off -fno-math-errno -fvisibility=hidden -fPIC -g0".split(),
+    *"-Wall -Wextra -Wshadow -Werror".split(),
+)
 """Flags of the compiler. They forbid fused multiply-adds and the reordering of sums, so that a result does not depend
 on the processor.
 -fno-math-errno changes no number: it lets the processor's square root stand for the library's."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Platform:
     triple: str
     """Zig's name of the target, with the oldest C library or system that the binary runs on."""
@@ -46,17 +46,12 @@ class Platform:
     """File name of the binary in this folder."""
 
 
+LINUX, MACOS = "libcarecontact_kernel.so", "libcarecontact_kernel.dylib"
 PLATFORMS = {
-    "linux-x86_64": Platform(
-        triple="x86_64-linux-gnu.2.17", cpu="x86_64", tag="manylinux_2_17_x86_64", library="libcarecontact_kernel.so"
-    ),
-    "linux-aarch64": Platform(
-        triple="aarch64-linux-gnu.2.17", cpu="generic", tag="manylinux_2_17_aarch64", library="libcarecontact_kernel.so"
-    ),
-    "macos-arm64": Platform(
-        triple="aarch64-macos.11.0", cpu="apple_m1", tag="macosx_11_0_arm64", library="libcarecontact_kernel.dylib"
-    ),
-}  # fmt: skip
+    "linux-x86_64": Platform("x86_64-linux-gnu.2.17", "x86_64", "manylinux_2_17_x86_64", LINUX),
+    "linux-aarch64": Platform("aarch64-linux-gnu.2.17", "generic", "manylinux_2_17_aarch64", LINUX),
+    "macos-arm64": Platform("aarch64-macos.11.0", "apple_m1", "macosx_11_0_arm64", MACOS),
+}
 """The platforms for which MuJoCo 4.0.0 has wheels, except Windows: policies need the processes of POSIX."""
 
 

@@ -1,6 +1,4 @@
-"""Finds and checks the binary that this machine would load, and says which kernel it is. It loads neither the binary
-nor MuJoCo.
-"""
+"""Finds and checks the binary that this machine would load, without loading it or MuJoCo."""
 
 from __future__ import annotations
 
@@ -16,13 +14,13 @@ from carecontact.tissue import binary
 def binary_sha256() -> str:
     """Return the sha256 (hex) of the binary, on which every result depends besides MuJoCo's version.
 
-    Raises DependencyError as ``file`` does.
+    Raises DependencyError as ``binary_file`` does.
     """
     return hashlib.sha256(binary_file().read_bytes()).hexdigest()
 
 
 def binary_file() -> Path:
-    """Return the path of the binary. Raises DependencyError if ``problem`` finds one."""
+    """Return the path of the binary. Raises DependencyError if it has a problem (``binary_problem``)."""
     if found := binary_problem():
         what, command = found
         raise DependencyError(f"the compiled tissue {what}" + (f"; run `{command}`" if command else ""))
@@ -30,11 +28,8 @@ def binary_file() -> Path:
 
 
 def binary_problem() -> tuple[str, str | None] | None:
-    """Return why this machine cannot load the binary, or None if it can.
-
-    The reason is the end of a sentence about the binary: it does not exist for the platform, it is missing, it does not
-    belong to the C sources beside it, or MuJoCo has another version. The second item is the command that helps, or None
-    if no command does.
+    """Return why this machine cannot load the binary, as the end of a sentence about it, and the command that helps or
+    None if no command does; None if the machine can load it.
     """
     name = binary.platform_here()
     if fault := binary.fault(name):
@@ -43,20 +38,19 @@ def binary_problem() -> tuple[str, str | None] | None:
         version = metadata.version("mujoco")
     except metadata.PackageNotFoundError:
         version = "not installed"
-    if version != binary.MUJOCO:
-        pip = f"{sys.executable} -m pip install mujoco=={binary.MUJOCO}"
-        return f"needs MuJoCo {binary.MUJOCO}, and it is {version}", pip
-    return None
+    if version == binary.MUJOCO:
+        return None
+    pip = f"{sys.executable} -m pip install mujoco=={binary.MUJOCO}"
+    return f"needs MuJoCo {binary.MUJOCO}, and it is {version}", pip
 
 
 def build_command(*, afresh: bool = False) -> str:
     """Return the command that makes or installs the right binary.
 
-    Args:
-        afresh: whether the command shall replace a binary that has the right mark but does not load.
+    ``afresh``: whether it replaces a binary that has the right mark but does not load.
     """
     clone = binary.FOLDER.parents[2]
-    if (clone / "tools" / "bootstrap.sh").is_file():
-        make = f"make -C {clone} env"
-        return f"rm {binary.library_file(binary.platform_here())} && {make}" if afresh else make
-    return f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
+    if not (clone / "tools" / "bootstrap.sh").is_file():
+        return f"{sys.executable} -m pip install --force-reinstall --no-deps CARECONTACT.whl"
+    make = f"make -C {clone} env"
+    return f"rm {binary.library_file(binary.platform_here())} && {make}" if afresh else make

@@ -90,24 +90,23 @@ class MotionScript:
         for name, values in self.numbers().items():
             if not np.isfinite(values).all():
                 raise SceneError(f"the person cannot wake: {name}: every number must be finite, got {values}")
-        belly, chest = self.breath_m
+        turns = [action.shift_rad for action in (*self.moves, self.pull) if action is not None]
+        for name, low, values, high in (
+            ("phase", 0.0, self.phase, 1.0),
+            ("tone", 0.0, self.tone, 1.0),
+            ("help", 0.0, self.help, 1.0),
+            ("moves: time_s", 0.0, [move.time_s for move in self.moves], np.inf),
+            ("moves: lift_rad", -LARGEST_TURN_RAD, [move.lift_rad for move in self.moves], LARGEST_TURN_RAD),
+            ("shift_rad", -LARGEST_TURN_RAD, turns, LARGEST_TURN_RAD),
+        ):
+            for value in np.ravel(values):
+                if not low <= value <= high:
+                    raise SceneError(f"the person cannot wake: {name}: expected {low:g} to {high:g}, got {value:g}")
         hz = self.breath_hz or Breathing().frequency_hz[0]
-        for name, low, value, high in (
-            ("phase", 0.0, self.phase, 1.0), ("tone", 0.0, self.tone, 1.0), ("help", 0.0, self.help, 1.0),
-            *(("moves: time_s", 0.0, move.time_s, np.inf) for move in self.moves),
-            *(("moves: lift_rad", -LARGEST_TURN_RAD, move.lift_rad, LARGEST_TURN_RAD) for move in self.moves),
-            *(
-                ("shift_rad", -LARGEST_TURN_RAD, angle, LARGEST_TURN_RAD)
-                for does in (*self.moves, *filter(None, [self.pull])) for angle in does.shift_rad
-            ),
-        ):  # fmt: skip
-            if not low <= value <= high:
-                raise SceneError(f"the person cannot wake: {name}: expected {low:g} to {high:g}, got {value:g}")
+        belly, chest = ((size, size) for size in self.breath_m)
+        share = self.inspiration_share
         try:
-            Breathing(
-                frequency_hz=(hz, hz), abdomen_m=(belly, belly), chest_m=(chest, chest),
-                inspiration_share=self.inspiration_share,
-            )  # fmt: skip
+            Breathing(frequency_hz=(hz, hz), abdomen_m=belly, chest_m=chest, inspiration_share=share)
             for move in self.moves:
                 Repositioning(duration_s=(move.duration_s, move.duration_s))
             if (p := self.pull) is not None:
@@ -126,10 +125,9 @@ class MotionScript:
         if self.pull is not None:
             p = self.pull
             pull[:] = p.force_n, p.for_s, p.delay_s, p.duration_s, *p.shift_rad
-        return {
-            "breath": np.array([self.breath_hz, self.inspiration_share, self.phase, *self.breath_m]),
-            "muscle": np.array([self.tone, self.help]), "moves": moves.ravel(), "withdrawal": pull,
-        }  # fmt: skip
+        breath = np.array([self.breath_hz, self.inspiration_share, self.phase, *self.breath_m])
+        muscle = np.array([self.tone, self.help])
+        return {"breath": breath, "muscle": muscle, "moves": moves.ravel(), "withdrawal": pull}
 
 
 def add_life(spec: mujoco.MjSpec, carrier: mujoco.MjsBody) -> None:
@@ -161,12 +159,12 @@ class Life:
         if size != STATE_SIZE:
             raise SceneError(f"the state of {NAME} has {size} numbers, expected {STATE_SIZE}")
         self._model, self._state = model, slice(first, first + size)
-        names = {model.actuator(k).name for k in range(model.nu)}
-        self._parts = [model.actuator(f"breathes_{p}").id if f"breathes_{p}" in names else -1 for p in PARTS]
+        actuators = {model.actuator(k).name: k for k in range(model.nu)}
+        self._parts = [actuators.get(f"breathes_{part}", -1) for part in PARTS]
         self._muscles = {
-            k: [model.actuator(f"{kind}_{joint}").id for kind in ("holds", "turns")]
+            k: [actuators[f"{kind}_{joint}"] for kind in ("holds", "turns")]
             for k, joint in enumerate(JOINTS)
-            if f"holds_{joint}" in names
+            if f"holds_{joint}" in actuators
         }
         self._joints = {k: int(model.joint(f"human_{JOINTS[k]}").qposadr[0]) for k in self._muscles}
 
@@ -174,41 +172,36 @@ class Life:
     def exists(model: mujoco.MjModel) -> bool:
         return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, NAME) >= 0
 
-    def wake(self, data: mujoco.MjData, doings: MotionScript) -> None:
+    def wake(self, data: mujoco.MjData, script: MotionScript) -> None:
         """Let the person begin to breathe and move now, from the present posture and at the given phase of a breath.
 
-        Changes ``data`` and the numerics of the model. Raises SceneError as ``Doings.check``.
+        Changes ``data`` and the numerics of the model. Raises SceneError as ``MotionScript.check``.
         """
-        doings.check()
-        for name, values in doings.numbers().items():
+        script.check()
+        for name, values in script.numbers().items():
             self._model.numeric(f"{NAME}/{name}").data[:] = values
         state = data.plugin_state[self._state]
         state[:] = 0
         state[[AWAKE, BEGAN]] = 1.0, data.time
         for k, address in self._joints.items():
             state[[first + k for first in (POSTURE, BASE, REST, WANT)]] = data.qpos[address]
-        height, rate = breath(doings, 0.0)
-        for actuator, size in zip(self._parts, doings.breath_m, strict=True):
+        height, rate = breath(script, 0.0)
+        for actuator, size in zip(self._parts, script.breath_m, strict=True):
             if actuator >= 0:
                 joint = self._model.joint(int(self._model.actuator_trnid[actuator, 0]))
                 data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = size * height, size * rate
         mujoco.mj_forward(self._model, data)
 
     def check_known(self, data: mujoco.MjData) -> None:
-        """Check that this model knows what the person in a state does: ``Doings`` are in the model, not in the state.
-
-        Whether the doings are the same cannot be told from a state: recordings hold states,
-        and nothing can be added to these. Raises SceneError if the person in the state is awake and this model's person
-        never woke.
+        """Raise SceneError if the person in a state is awake and this model's person never woke: the script is in the
+        model and not in the state. A state does not show whether the scripts are the same.
         """
-        asleep = all(
-            np.array_equal(self._model.numeric(f"{NAME}/{name}").data, values)
-            for name, values in MotionScript().numbers().items()
-        )
+        still = MotionScript().numbers()
+        asleep = all(np.array_equal(self._model.numeric(f"{NAME}/{name}").data, still[name]) for name in still)
         if asleep and data.plugin_state[self._state][AWAKE]:
             raise SceneError(
-                "the state is of a person who is awake, and nobody woke the person of this world; call "
-                "life.wake(data, doings) with the same doings before the state is restored"
+                "the state is of a person who is awake, but the person of this world never woke; call "
+                "life.wake(data, script) with the same script before you restore the state"
             )
 
     def breath_m(self, data: mujoco.MjData) -> Array:
@@ -241,13 +234,13 @@ class Life:
         return times
 
 
-def breath(doings: MotionScript, time_s: float) -> tuple[float, float]:
+def breath(script: MotionScript, time_s: float) -> tuple[float, float]:
     """Return how far the person has breathed in at a time, from 0 to 1, and the rate of that [1/s].
 
     Breathing in follows half a period of a cosine, and breathing out follows another.
     """
-    cycle = (doings.breath_hz * time_s + doings.phase) % 1.0
-    inward = cycle < doings.inspiration_share
-    share = doings.inspiration_share if inward else 1.0 - doings.inspiration_share
-    at = np.pi * (cycle / share if inward else 1.0 + (cycle - doings.inspiration_share) / share)
-    return float(1 - np.cos(at)) / 2, float(np.sin(at)) / 2 * np.pi * doings.breath_hz / share
+    cycle = (script.breath_hz * time_s + script.phase) % 1.0
+    inward = cycle < script.inspiration_share
+    share = script.inspiration_share if inward else 1.0 - script.inspiration_share
+    at = np.pi * (cycle / share if inward else 1.0 + (cycle - script.inspiration_share) / share)
+    return float(1 - np.cos(at)) / 2, float(np.sin(at)) / 2 * np.pi * script.breath_hz / share

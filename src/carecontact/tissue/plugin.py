@@ -4,11 +4,11 @@ what the plugin measured."""
 from __future__ import annotations
 
 import ctypes
-import functools
 import threading
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields
+from functools import cache, cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,8 +17,6 @@ import numpy.typing as npt
 from carecontact.errors import DependencyError, SceneError
 from carecontact.protocol.person import Tissue
 from carecontact.tissue import binary_lookup
-
-# Loads the compiled tissue into this process once, after checking that it is the right binary.
 
 PLUGIN = "carecontact.tissue"
 """Name of the tissue's plugin in a MuJoCo model."""
@@ -29,18 +27,17 @@ _loading = threading.Lock()
 
 
 def load_plugins() -> ctypes.CDLL:
-    """Register the plugins with MuJoCo, so that models that name them can be compiled, and return the library.
+    """Register the plugins with MuJoCo, so that models that name them can be compiled, and return the library, which is
+    loaded once.
 
-    Later calls return the same object.
-
-    Raises DependencyError as ``found.file`` does, if the binary does not load, and if another library has registered a
+    Raises DependencyError as ``binary_file`` does, if the binary does not load, and if another library has registered a
     plugin with one of these names.
     """
     with _loading:
         return _load()
 
 
-@functools.cache
+@cache
 def _load() -> ctypes.CDLL:
     file = str(binary_lookup.binary_file())
     try:
@@ -57,10 +54,8 @@ def _load() -> ctypes.CDLL:
     return library
 
 
-# Adds a soft region to a MuJoCo model: an instance of the plugin on the bone, and the numbers that it reads.
-#
-# The arrays travel as custom numerics ``<name>/vertices``, ``/edges``, ``/triangles``, ``/law``, ``/options`` and
-# ``/contact``; their columns are those of ``c/region.h``.
+# A soft region is an instance of the plugin on the bone. It reads the custom numerics ``<name>/vertices``, ``/edges``,
+# ``/triangles``, ``/law``, ``/options`` and ``/contact``, whose columns are those of ``c/region.h``.
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -137,10 +132,6 @@ class Mesh:
         a, b, c = (self.places[self.triangles[:, k]] for k in range(3))
         return np.c_[self.triangles, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2, self.cells]
 
-    @property
-    def cell_count(self) -> int:
-        return int(self.cells.max(initial=-1)) + 1
-
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
@@ -195,12 +186,9 @@ class Law:
     @classmethod
     def of(cls, tissue: Tissue) -> Law:
         """Return the constants of a row of tissue."""
-        return cls(
-            a_n_m3=tissue.a_n_m3, b_n_m4=tissue.b_n_m4, c_n_m5=tissue.c_n_m5, damping_ns_m3=tissue.damping_ns_m3,
-            damping_growth_ns_m4=tissue.damping_growth_ns_m4, mass_kg_m2=tissue.areal_mass_kg_m2,
-            coupling_n_m=tissue.a_n_m3 * tissue.coupling_length_m**2, membrane_n_m=tissue.membrane_n_m,
-            friction=tissue.friction, contact_n_m3=tissue.contact_n_m3, thickness_m=tissue.thickness_m,
-        )  # fmt: skip
+        mass, coupling = tissue.areal_mass_kg_m2, tissue.a_n_m3 * tissue.coupling_length_m**2
+        same = tissue.model_dump(include={field.name for field in fields(cls)})
+        return cls(**same, mass_kg_m2=mass, coupling_n_m=coupling)
 
 
 def add_region(
@@ -222,16 +210,12 @@ def add_region(
     Args:
         name: name of the plugin's instance, and prefix of the names of its custom numerics.
         bone: the body that carries the region.
-        mesh: the region's surface.
-        tissue: the constants of the tissue.
         tools: name of a body. The region can be touched by the geoms of this body and of the bodies below it whose
             contype has bit 1.
         tip: name of the geom among them that is meant to touch. Of the force of any other, a row says whether it
             belongs to the same body or to another; empty: all are meant to touch.
         ledger: whether to keep the energy of every step (``Readings``), which takes a tenth of the solver's time.
-        layer_m: see LAYER_M.
-        entry_m: see ENTRY_M.
-        lock: see LOCK; at 0, the tissue does not lock.
+        layer_m, entry_m, lock: see LAYER_M, ENTRY_M and LOCK; at a lock of 0, the tissue does not lock.
 
     Raises DependencyError if the compiled tissue is missing.
     """
@@ -240,17 +224,19 @@ def add_region(
     edges, weights = mesh.edges
     reach = max(REACH_M, REACH_LENGTHS * tissue.coupling_length_m)
     numbers = {
-        "vertices": np.c_[mesh.places, mesh.frames.reshape(-1, 9), mesh.areas], "edges": np.c_[edges, weights],
-        "triangles": mesh.rows, "law": np.array(astuple(Law.of(tissue))),
+        "vertices": np.c_[mesh.places, mesh.frames.reshape(-1, 9), mesh.areas],
+        "edges": np.c_[edges, weights],
+        "triangles": mesh.rows,
+        "law": np.array(astuple(Law.of(tissue))),
         "options": np.array([reach, TOLERANCE_M, SWEEPS, ledger], np.float64),
         "contact": np.array([layer_m, entry_m, lock]),
-    }  # fmt: skip
+    }
     for kind, values in numbers.items():
         spec.add_numeric(name=f"{name}/{kind}", data=values.ravel().tolist(), size=values.size)
     made = spec.add_plugin(name=name, plugin_name=PLUGIN, active=True)
-    # The plugin is asked for the size of its state before the model has its numerics.
-    counts = {kind: len(numbers[kind]) for kind in ("vertices", "edges", "triangles")} | {"cells": mesh.cell_count}
-    made.config = {"key": name, "tools": tools, "tip": tip, **{kind: str(count) for kind, count in counts.items()}}
+    # MuJoCo asks the plugin for the size of its state before the model has its numerics.
+    counts = {kind: str(len(numbers[kind])) for kind in ("vertices", "edges", "triangles")}
+    made.config = {"key": name, "tools": tools, "tip": tip, **counts, "cells": str(mesh.cells.max(initial=-1) + 1)}
     bone.plugin.active, bone.plugin.name, bone.plugin.plugin_name, bone.plugin.id = True, name, PLUGIN, made
 
 
@@ -259,8 +245,7 @@ def set_law(model: mujoco.MjModel, name: str, tissue: Tissue) -> None:
     model.numeric(f"{name}/law").data[:] = astuple(Law.of(tissue))
 
 
-# Reads the state of a soft region from ``MjData.plugin_state``. The layout is that of ``c/region.h``.
-
+# The layout of a region's state in ``MjData.plugin_state``, as in ``c/region.h``.
 HEAD, RING_ROWS, CELL_SIZE = 3, 64, 4
 HELD_SIZE, POINTS_EACH = 4, 4
 ROW = np.dtype(
@@ -276,12 +261,11 @@ centre of pressure in world coordinates, the largest indentation, the largest pr
 of contact points, the number of sweeps of the solver, and the largest change in the last sweep. If the region keeps a
 ledger of energy, the row also has the energy at the end of the step, and the energy that dampers and friction dissipate
 during it. Last comes what of both sums of force is not the tip's, but of the robot's hand and then of its links
-(``region.add_region``)."""
-
+(``add_region``)."""
 _ROW_SIZE = ROW.itemsize // 8
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Cells:
     """Sums over time for each declared cell, since the state was last reset. Each array has the shape (C,)."""
 
@@ -333,11 +317,7 @@ class Readings:
 
     def now(self, data: mujoco.MjData) -> npt.NDArray[np.void]:
         """Return the row () of the last forward pass, with the fields of ROW."""
-        out = np.zeros(1, ROW)
-        load_plugins().carecontact_tissue_row(
-            ctypes.c_void_p(data._address), ctypes.c_int(self.instance), ctypes.c_void_p(out.ctypes.data)
-        )
-        return out[0]
+        return self._filled(load_plugins().carecontact_tissue_row, data, np.zeros(1, ROW))[0]
 
     def displacement(self, data: mujoco.MjData) -> Array:
         """Return (N, 3) the displacement of each vertex along the rows of its frame: inward, and two tangents [m]."""
@@ -358,20 +338,20 @@ class Readings:
         return self.places + np.einsum("ij,ijk->ik", self.displacement(data), self.frames)
 
     def cells(self, data: mujoco.MjData) -> Cells:
-        sums = data.plugin_state[self._cells].reshape(-1, CELL_SIZE).T.copy()
-        return Cells(press_ns=sums[0], shear_ns=sums[1], slip_m3=sums[2], touch_m2s=sums[3])
+        return Cells(*data.plugin_state[self._cells].reshape(-1, CELL_SIZE).T.copy())
 
     def generalised_force(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         """Return (nv,) the force that the region added to ``qfrc_passive`` in the last forward pass [N or N m]."""
-        out = np.zeros(model.nv)
-        load_plugins().carecontact_tissue_force(
-            ctypes.c_void_p(data._address), ctypes.c_int(self.instance), ctypes.c_void_p(out.ctypes.data)
-        )
+        return self._filled(load_plugins().carecontact_tissue_force, data, np.zeros(model.nv))
+
+    def _filled(self, fill: Callable[..., object], data: mujoco.MjData, out: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Let a function of the plugin write into ``out`` what it knows of this region, and return ``out``."""
+        fill(ctypes.c_void_p(data._address), ctypes.c_int(self.instance), ctypes.c_void_p(out.ctypes.data))
         return out
 
 
 class Rings:
-    """Reads the last steps of several regions of one model at once, which all make a step together."""
+    """Reads the last steps of several regions of one model at once."""
 
     def __init__(self, regions: Sequence[Readings]) -> None:
         self._names = ", ".join(region.name for region in regions)
@@ -388,7 +368,8 @@ class Rings:
             return np.zeros((count, 0), ROW)
         state = data.plugin_state
         made = int(state[self._made])
-        if not 0 < count <= min(RING_ROWS, made):
-            raise SceneError(f"count {count}: expected 1 to {min(RING_ROWS, made)}, the steps that {self._names} keep")
+        kept = min(RING_ROWS, made)
+        if not 0 < count <= kept:
+            raise SceneError(f"count {count}: expected 1 to {kept}, the steps that {self._names} keep")
         steps = np.arange(made - count, made) % RING_ROWS
         return state.take(self._rows.take(steps, 0)).view(ROW)[..., 0]

@@ -1,2 +1,1 @@
-"""Builders of the compiled model around the person: robot, furniture, cameras, sensors, and what is drawn anew for each
-seed."""
+"""Builders of the compiled model around the person: robot, furniture, cameras, sensors, and what each seed draws."""

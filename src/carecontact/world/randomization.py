@@ -1,5 +1,5 @@
-"""What a seed draws before there is a simulation: the random streams of a trial, place and posture of the person, and
-movements of their own."""
+"""What a seed draws before there is a simulation: the random streams of a trial, body, posture and place of the person,
+the overhead camera, and the person's own movements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from math import radians
 import mujoco
 import numpy as np
 
-from carecontact.human.body import Array
 from carecontact.human.pose import RIGHT_SHOULDER_M
 from carecontact.human.skeleton import ROOT_JOINT
 from carecontact.interface.geometry import matrix_from_quat
@@ -21,10 +20,10 @@ from carecontact.protocol.sections import Camera, Variation
 from carecontact.tissue.life import JOINTS, MOST_MOVES, MotionScript, Move, Pull
 from carecontact.world.room import SUPPORT
 
-# The random streams of a trial, and the values that are drawn from them before there is a world.
-
-STREAMS = ("comfort_arm", "appearance", "sensor_noise", "policy", "light", "place", "breathing", "repositioning",
-           "withdrawal", "calibration", "tissue", "body", "pose", "park", "camera", "bed_height")  # fmt: skip
+STREAMS = (
+    *"comfort_arm appearance sensor_noise policy light place breathing repositioning withdrawal".split(),
+    *"calibration tissue body pose park camera bed_height".split(),
+)
 """The names of the streams, in the order of the seed's children; a new one has to go to the end."""
 
 
@@ -32,13 +31,11 @@ def streams(protocol: Protocol, seed: int, salt: str) -> dict[str, np.random.Gen
     """Return one generator for each stream. They depend on ``Protocol.drawn_as``, seed and salt only, so that trials
     are paired over tasks, methods and levels.
 
-    Args:
-        salt: the trial's secret (``TrialSpec.salt``), without which nobody can tell from a published seed what it
-            draws; empty for a run on published seeds.
+    ``salt``: the trial's secret (``TrialSpec.salt``), without which a published seed does not reveal its draws; empty
+    for a run on published seeds.
     """
     if salt:
-        # Each stream has a hash of its own: whoever inferred one stream from its draws would know neither the salt nor
-        # another stream.
+        # Each stream has its own hash, so that the draws of one stream reveal neither the salt nor another stream.
         return {name: np.random.default_rng(words(f"{salt} {protocol.drawn_as} {seed} {name}")) for name in STREAMS}
     children = np.random.SeedSequence([*words(protocol.drawn_as), seed]).spawn(len(STREAMS))
     return {name: np.random.default_rng(child) for name, child in zip(STREAMS, children, strict=True)}
@@ -57,7 +54,7 @@ class Posture:
     shoulder_rotation_deg: float
     palm_deg: float
     place: tuple[float, float, float]
-    """Place along, across and yaw as shares, from -1 to 1, of the protocol's ranges (``world.place``). On a level with
+    """Place along, across and yaw as shares, from -1 to 1, of the protocol's ranges (``place_of``). On a level with
     wider ranges, the same person therefore lies farther out on the same side."""
 
 
@@ -72,9 +69,11 @@ def posture_of(protocol: Protocol, seed: int, salt: str, number: int) -> Posture
         for share, (low, high) in zip(turns, (variation.shoulder_rotation_deg, variation.palm_deg), strict=True)
     )
     return Posture(
-        comfort_arm_deg=float(angles[number]), shoulder_rotation_deg=person.shoulder_rotation_deg + rotation,
-        palm_deg=person.palm_deg + palm, place=(along, across, yaw),
-    )  # fmt: skip
+        comfort_arm_deg=float(angles[number]),
+        shoulder_rotation_deg=person.shoulder_rotation_deg + rotation,
+        palm_deg=person.palm_deg + palm,
+        place=(along, across, yaw),
+    )
 
 
 def body_of(protocol: Protocol, seed: int, salt: str) -> str:
@@ -101,9 +100,8 @@ def overhead_of(protocol: Protocol, seed: int, salt: str) -> Camera:
     turned = axes @ _rotation(np.radians(variation.overhead_turn_deg) * turn)
     place = at + variation.overhead_shift_m * shift
     target = place - np.linalg.norm(look - at) * turned[:, 2]
-    return camera.model_copy(update={
-        "position_m": _vec3(place), "look_at_m": _vec3(target), "up": _vec3(turned[:, 1])
-    })  # fmt: skip
+    pose = {"position_m": place, "look_at_m": target, "up": turned[:, 1]}
+    return camera.model_copy(update={name: tuple(values.tolist()) for name, values in pose.items()})
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
@@ -112,13 +110,6 @@ def _rotation(vector: np.ndarray) -> np.ndarray:
     axis = vector / angle if angle else np.array([0.0, 0.0, 1.0])
     return matrix_from_quat(np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis)]))
 
-
-def _vec3(values: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-# Place of the person on the bed, which a seed draws and which is set in a compiled model.
 
 SHOULDER = np.array([*RIGHT_SHOULDER_M, 0.0])
 """(3,) place on the floor under the right shoulder of a person in the protocol's own place [m]."""
@@ -154,24 +145,13 @@ class Place:
 UNMOVED = Place()
 
 
-def draw_place(rng: np.random.Generator, variation: Variation) -> Place:
-    """Draw each value uniformly between plus and minus the protocol's value.
-
-    Each value has a draw of its own, which is a share of its range, so that seeds keep their order in a narrower
-    range.
-    """
-    return place_of(rng.uniform(-1.0, 1.0, 3).tolist(), variation)
-
-
 def place_of(shares: Sequence[float], variation: Variation) -> Place:
     """Return the place for three shares of the ranges, from -1 to 1: along, across and yaw."""
     along, across, yaw = shares
     up = variation.place_toward_head_m
     farthest = variation.place_along_m if up is None or along < 0 else min(up, variation.place_along_m)
     return Place(
-        along_m=along * farthest,
-        across_m=across * variation.place_across_m,
-        yaw_deg=yaw * variation.place_yaw_deg,
+        along_m=along * farthest, across_m=across * variation.place_across_m, yaw_deg=yaw * variation.place_yaw_deg
     )
 
 
@@ -203,8 +183,6 @@ def place_in_model(model: mujoco.MjModel) -> list[float]:
     start, support = model.joint(ROOT_JOINT).qposadr[0], model.body(SUPPORT)
     return [*model.qpos0[start : start + 7].tolist(), *support.pos.tolist(), *support.quat.tolist()]
 
-
-# The movements that the person makes on their own, drawn by a seed from the protocol's ranges.
 
 TONE = {"passive": 0.0, "helps": 0.0, "holds": 0.15}
 """Manner -> activation of the muscles at rest (assumed): the shoulder of a person who holds is about twenty times as
@@ -262,6 +240,7 @@ def draw_motion_script(
         until_s: length of the longest trial [s].
         wrist_radius_m: horizontal distance of the wrist from the shoulder [m].
     """
+    abduction = np.array([joint.endswith("abduction") for joint in JOINTS], np.float64)
     out = MotionScript(tone=TONE[alive.manner], help=HELP[alive.manner])
     if (b := alive.breathing) is not None:
         draw = rng["breathing"].uniform
@@ -271,20 +250,18 @@ def draw_motion_script(
         )
     if alive.repositioning is not None:
         shifts = draw_shifts(rng["repositioning"], alive.repositioning, until_s=until_s)
-        out = replace(out, moves=tuple(_move(shift, wrist_radius_m) for shift in shifts))
+        moves = [
+            Move(
+                time_s=shift.time_s,
+                duration_s=shift.duration_s,
+                lift_rad=LIFT_RAD,
+                shift_rad=shift.wrist_m / wrist_radius_m * abduction,
+            )
+            for shift in shifts
+        ]
+        out = replace(out, moves=tuple(moves))
     if (w := alive.withdrawal) is not None:
-        pull = Pull(
-            force_n=float(rng["withdrawal"].uniform(*w.force_n)), for_s=w.for_s, delay_s=w.delay_s,
-            duration_s=w.duration_s, shift_rad=_abduction(-w.wrist_m / wrist_radius_m),
-        )  # fmt: skip
+        force_n, shift_rad = float(rng["withdrawal"].uniform(*w.force_n)), -w.wrist_m / wrist_radius_m * abduction
+        pull = Pull(force_n=force_n, for_s=w.for_s, delay_s=w.delay_s, duration_s=w.duration_s, shift_rad=shift_rad)
         out = replace(out, pull=pull)
     return out
-
-
-def _move(shift: Shift, radius_m: float) -> Move:
-    turn = _abduction(shift.wrist_m / radius_m)
-    return Move(time_s=shift.time_s, duration_s=shift.duration_s, lift_rad=LIFT_RAD, shift_rad=turn)
-
-
-def _abduction(angle_rad: float) -> Array:
-    return angle_rad * np.array([joint.endswith("abduction") for joint in JOINTS], np.float64)

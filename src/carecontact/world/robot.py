@@ -24,14 +24,6 @@ from carecontact.interface.robot import Baked, JointImpedance, Mjcf, Robot
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Impedance
 
-# The robot with its tool, and the impedance that is part of the model.
-#
-# Names: those of ``contract.embodiment.Robot``, for a baked arm also the bodies ``robot_link1``, ``robot_link2`` and so
-# on; mocap body ``tcp_target``; actuators ``impedance_0`` .. ``impedance_5`` (x y z, then rotation about x y z).
-#
-# Visual geoms are in group 1 and never collide. Collision geoms are in group 3 with contype 1 and conaffinity 0: the
-# robot meets whatever has bit 1 in its conaffinity, and never itself.
-
 FINGER_ORIGIN_Z_M = 0.0584
 """Height of the fingers' carriage in the hand's frame (joint finger_joint1 of the hand's URDF)."""
 JOINT_DAMPING = 1.0
@@ -48,6 +40,10 @@ CAP_COLOUR, MITT_COLOUR = (0.22, 0.24, 0.28, 1.0), (0.30, 0.47, 0.62, 1.0)
 PEDESTAL_COLOUR = (0.45, 0.47, 0.50, 1.0)
 PEDESTAL_RADIUS_M = 0.09
 VISUAL_GROUP, COLLISION_GROUP = 1, 3
+VISUAL = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
+COLLIDING = {"contype": 1, "conaffinity": 0}
+HIDDEN = {"group": COLLISION_GROUP, "rgba": [0.8, 0.4, 0.2, 0.4]}
+MESH = mujoco.mjtGeom.mjGEOM_MESH
 
 Array = npt.NDArray[np.float64]
 
@@ -109,7 +105,6 @@ def _add_baked(spec: mujoco.MjSpec, robot: Robot, source: Baked, place: dict[str
         effort = float(asset["joint_effort_nm"][i])
         body.add_joint(
             name=joint,
-            type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[0, 0, 1],
             range=np.asarray(asset["joint_range_rad"][i]) * to_spec_angle,
             limited=True,
@@ -146,15 +141,14 @@ def _attach(spec: mujoco.MjSpec, robot: Robot, source: Mjcf, place: dict[str, An
             geom.contype, geom.conaffinity, geom.group = 1, 0, COLLISION_GROUP if hidden else VISUAL_GROUP
         else:
             geom.group = VISUAL_GROUP
-    if robot.tip.give_m3_n:
-        _make_giving(spec, spec.geom(robot.tip.geom), robot)
+    _make_giving(spec, spec.geom(robot.tip.geom), robot)
     return base
 
 
 def _make_giving(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, robot: Robot) -> None:
-    """The compiled tissue reads how far a geom's surface gives way from its first user number."""
-    spec.nuser_geom = 1
-    geom.userdata = [robot.tip.give_m3_n]
+    """Write how far the tip's surface gives way into its first user number, where the compiled tissue reads it."""
+    if robot.tip.give_m3_n:
+        spec.nuser_geom, geom.userdata = 1, [robot.tip.give_m3_n]
 
 
 def _add_meshes(spec: mujoco.MjSpec, asset: dict[str, npt.NDArray[np.generic]]) -> list[str]:
@@ -184,52 +178,19 @@ def _set_inertial(body: mujoco.MjsBody, asset: dict[str, npt.NDArray[np.generic]
 def _add_link_geoms(body: mujoco.MjsBody, link: str, meshes: list[str]) -> None:
     for name in meshes:
         _, kind, of_link, part = name.split("_")
-        if of_link != link:
-            continue
-        if kind == "visual":
-            _add_visual_mesh(body, name, COLOURS[part])
-        else:
-            geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
-            _make_colliding(geom)
-
-
-def _add_visual_mesh(
-    body: mujoco.MjsBody, mesh: str, rgba: tuple[float, float, float, float], *, z_m: float = 0.0, turned: bool = False
-) -> None:
-    body.add_geom(
-        name=f"{mesh}_turned" if turned else mesh,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=mesh,
-        pos=[0, 0, z_m],
-        quat=[0, 0, 0, 1] if turned else [1, 0, 0, 0],
-        rgba=rgba,
-        group=VISUAL_GROUP,
-        contype=0,
-        conaffinity=0,
-    )
-
-
-def _make_colliding(geom: mujoco.MjsGeom) -> None:
-    geom.group, geom.contype, geom.conaffinity = COLLISION_GROUP, 1, 0
-    geom.rgba = [0.8, 0.4, 0.2, 0.4]
+        if of_link == link:
+            look = VISUAL | {"rgba": COLOURS[part]} if kind == "visual" else COLLIDING | HIDDEN
+            body.add_geom(name=name, type=MESH, meshname=name, **look)
 
 
 def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
-    visual = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0, "rgba": PEDESTAL_COLOUR}
-    base.add_geom(
-        name="robot_pedestal",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        fromto=[-0.03, 0, -height_m, -0.03, 0, -0.02],
-        size=[PEDESTAL_RADIUS_M, 0, 0],
-        **visual,
+    look, (cylinder, box) = (
+        VISUAL | {"rgba": PEDESTAL_COLOUR},
+        (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX),
     )
-    base.add_geom(
-        name="robot_pedestal_plate",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[-0.04, 0, -0.01],
-        size=[0.125, 0.10, 0.01],
-        **visual,
-    )
+    column = [-0.03, 0, -height_m, -0.03, 0, -0.02]
+    base.add_geom(name="robot_pedestal", type=cylinder, fromto=column, size=[PEDESTAL_RADIUS_M, 0, 0], **look)
+    base.add_geom(name="robot_pedestal_plate", type=box, pos=[-0.04, 0, -0.01], size=[0.125, 0.10, 0.01], **look)
 
 
 def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robot: Robot) -> None:
@@ -240,22 +201,27 @@ def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robo
     for name in meshes:
         _, kind, link, part = name.split("_")
         if link == "finger" and kind == "visual":
-            for turned in (False, True):
-                _add_visual_mesh(hand, name, COLOURS[part], z_m=FINGER_ORIGIN_Z_M, turned=turned)
-    shaft = hand.add_geom(
+            finger = {"meshname": name, "pos": [0, 0, FINGER_ORIGIN_Z_M], "rgba": COLOURS[part]} | VISUAL
+            for suffix, quat in (("", [1, 0, 0, 0]), ("_turned", [0, 0, 0, 1])):
+                hand.add_geom(name=name + suffix, type=MESH, quat=quat, **finger)
+    hand.add_geom(
         name="robot_finger_shaft",
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         fromto=[0, 0, FINGER_ORIGIN_Z_M, 0, 0, robot.tip_centre_z_m - 0.01],
         size=[0.011, 0, 0],
+        **COLLIDING,
+        **HIDDEN,
     )
-    _make_colliding(shaft)
     touching = hand.add_geom(
-        name=tip.geom, type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, pos=[0, 0, robot.tip_centre_z_m], size=tip.half_m
+        name=tip.geom,
+        type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        pos=[0, 0, robot.tip_centre_z_m],
+        size=tip.half_m,
+        group=VISUAL_GROUP,
+        rgba=MITT_COLOUR if tip.give_m3_n else CAP_COLOUR,
+        **COLLIDING,
     )
-    _make_colliding(touching)
-    touching.group, touching.rgba = VISUAL_GROUP, MITT_COLOUR if tip.give_m3_n else CAP_COLOUR
-    if tip.give_m3_n:
-        _make_giving(spec, touching, robot)
+    _make_giving(spec, touching, robot)
     hand.add_site(name=robot.tcp_site, pos=[0, 0, robot.tcp_z_m], size=[0.003, 0.003, 0.003], group=4)
 
 
@@ -272,26 +238,19 @@ def _add_impedance(spec: mujoco.MjSpec, robot: Robot, impedance: Impedance) -> N
         stiffness = impedance.translational_n_m if linear else impedance.rotational_nm_rad
         inertia = impedance.effective_mass_kg if linear else impedance.effective_inertia_kgm2
         clamp = impedance.force_clamp_n if linear else impedance.torque_clamp_nm
-        actuator = spec.add_actuator(
+        _add_servo(
+            spec,
+            stiffness,
+            damping_of(stiffness, inertia),
             name=f"impedance_{axis}",
             trntype=mujoco.mjtTrn.mjTRN_SITE,
             target=robot.tcp_site,
             refsite="tcp_target",
             gear=np.eye(6)[axis],
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
             forcelimited=True,
             forcerange=[-clamp, clamp],
         )
-        actuator.gainprm[0] = stiffness
-        actuator.biasprm[:3] = [0.0, -stiffness, -damping_of(stiffness, inertia)]
 
-
-# Replaces the Cartesian impedance by a joint impedance, made of servos in the compiled model.
-#
-# One servo acts on each joint. Six act on tendons whose coefficients are the rows of the flange's Jacobian: a tendon's
-# length is then ``J q``, its velocity ``J qdot``, and the torque of a servo with the set point ``J q_d`` is ``J^T (Kx J
-# (q_d - q) - Kxd J qdot)``. ``sim.joint_control`` keeps the coefficients current.
 
 AXES = 6
 
@@ -307,8 +266,13 @@ def tendon(axis: int) -> str:
 
 
 def replace_impedance(spec: mujoco.MjSpec, robot: Robot, law: JointImpedance) -> None:
-    """Replace the Cartesian impedance of a world with a robot, before it is compiled, by a joint impedance. Raises
-    SceneError for gains of a robot with another number of joints.
+    """Replace the Cartesian impedance of a world with a robot, before it is compiled, by a joint impedance.
+
+    One servo acts on each joint. Six act on tendons whose coefficients are the rows of the flange's Jacobian: a
+    tendon's length is then ``J q``, its velocity ``J qdot``, and the torque of a servo with the set point ``J q_d`` is
+    ``J^T (Kx J (q_d - q) - Kxd J qdot)``. ``sim.controllers.JointControl`` keeps the coefficients current.
+
+    Raises SceneError for gains of a robot with another number of joints.
     """
     if (count := len(law.stiffness_nm_rad)) != len(robot.joints):
         raise SceneError(f"robot {robot.id} has {len(robot.joints)} joints, and the control has gains of {count}")
@@ -317,22 +281,19 @@ def replace_impedance(spec: mujoco.MjSpec, robot: Robot, law: JointImpedance) ->
     for number, (name, k, d, limit) in enumerate(
         zip(robot.joints, law.stiffness_nm_rad, law.damping_nms_rad, law.torque_limit_nm, strict=True)
     ):
-        _add_servo(spec, servo(number), mujoco.mjtTrn.mjTRN_JOINT, name, k, d)
+        _add_servo(spec, k, d, name=servo(number), trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
         spec.joint(name).actfrcrange = [-limit, limit]
     for axis, (k, d) in enumerate(zip(law.cartesian_stiffness, law.cartesian_damping, strict=True)):
         row = spec.add_tendon(name=tendon(axis))
         for name in robot.joints:
             # The compiler refuses a coefficient of 0; the first refresh writes the real one.
             row.wrap_joint(name, 1.0)
-        _add_servo(spec, tendon(axis), mujoco.mjtTrn.mjTRN_TENDON, tendon(axis), k, d)
+        _add_servo(spec, k, d, name=tendon(axis), trntype=mujoco.mjtTrn.mjTRN_TENDON, target=tendon(axis))
 
 
-def _add_servo(
-    spec: mujoco.MjSpec, name: str, kind: mujoco.mjtTrn, target: str, stiffness: float, damping: float
-) -> None:
-    actuator = spec.add_actuator(
-        name=name, trntype=kind, target=target, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-    )  # fmt: skip
+def _add_servo(spec: mujoco.MjSpec, stiffness: float, damping: float, **transmission: Any) -> None:
+    """Add a position servo with a damper."""
+    fixed, affine = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator = spec.add_actuator(gaintype=fixed, biastype=affine, **transmission)
     actuator.gainprm[0] = stiffness
     actuator.biasprm[:3] = [0.0, -stiffness, -damping]

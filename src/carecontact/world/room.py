@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from carecontact.human.pose import BOARD_HEIGHT_M
 from carecontact.protocol.sections import Scene
-
-# Bed, pillow, arm board, room and light.
 
 BED_TOUCH = {"contype": 0, "conaffinity": 3}
 LOOK_ONLY = {"contype": 0, "conaffinity": 0}
@@ -22,7 +21,12 @@ SUPPORT = "bed_support"
 FURNITURE_GROUP = 0
 """Group of exactly the geoms of the empty cell. What a camera sees of them is part of the cell's calibration."""
 
-BOX, CYLINDER, ELLIPSOID = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID
+PLANE, BOX, CYLINDER, ELLIPSOID = (
+    getattr(mujoco.mjtGeom, f"mjGEOM_{kind}") for kind in ("PLANE", "BOX", "CYLINDER", "ELLIPSOID")
+)
+
+
+Vec = list[float]
 
 
 def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: float) -> None:
@@ -39,14 +43,12 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
     }
 
     def add(
-        name: str, kind: mujoco.mjtGeom, size: list[float], pos: list[float], rgba: list[float],
-        to: mujoco.MjsBody = world, **kwargs,
-    ) -> None:  # fmt: skip
-        to.add_geom(
-            name=name, type=kind, size=size, pos=pos, rgba=rgba, **{"group": FURNITURE_GROUP, **LOOK_ONLY, **kwargs}
-        )
+        name: str, kind: mujoco.mjtGeom, size: Vec, pos: Vec, rgba: Vec, to: mujoco.MjsBody = world, **more: Any
+    ) -> None:
+        options = {"group": FURNITURE_GROUP, **LOOK_ONLY, **more}
+        to.add_geom(name=name, type=kind, size=size, pos=pos, rgba=rgba, **options)
 
-    add("floor", mujoco.mjtGeom.mjGEOM_PLANE, [6, 6, 0.1], [0, 0, 0], [0.66, 0.63, 0.58, 1])
+    add("floor", PLANE, [6, 6, 0.1], [0, 0, 0], [0.66, 0.63, 0.58, 1])
     add("wall", BOX, [0.05, 3.5, 1.4], [2.2, 0, 1.4], [0.86, 0.86, 0.82, 1])
     # One contact plane under everything keeps the number of contacts with the bed low, and with it the computing time.
     add("bed_mattress", BOX, [*BED_HALF_M, 0.08], [0, 0, top - 0.08], linen, **soft, **BED_TOUCH)
@@ -56,30 +58,16 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
     for a in (-0.95, 0.95):
         for b in (-0.40, 0.40):
             add(f"bed_leg_{a}_{b}", CYLINDER, [0.025, (top - 0.22) / 2, 0], [a, b, (top - 0.22) / 2], steel)
-    add(
-        "bed_pillow",
-        ELLIPSOID,
-        [0.16, 0.27, 0.045],
-        [head_x + 0.02, head_y, top + 0.012],
-        [0.95, 0.95, 0.93, 1],
-        support,
-    )
-    add("bed_pillow_contact", BOX, [0.12, 0.2, PILLOW_HEIGHT_M / 2], [head_x + 0.02, head_y, top + PILLOW_HEIGHT_M / 2],
-        [0, 0, 0, 0], support, group=3, **soft, **BED_TOUCH)  # fmt: skip
+    x, y, white, unseen = head_x + 0.02, head_y, [0.95, 0.95, 0.93, 1], [0.0] * 4
+    add("bed_pillow", ELLIPSOID, [0.16, 0.27, 0.045], [x, y, top + 0.012], white, support)
+    contact = {"group": 3, **soft, **BED_TOUCH}
+    half_m = PILLOW_HEIGHT_M / 2
+    add("bed_pillow_contact", BOX, [0.12, 0.2, half_m], [x, y, top + half_m], unseen, support, **contact)
     low, high = np.array(scene.board_low_m), np.array(scene.board_high_m)
     middle, half = (low + high) / 2, (high - low) / 2
-    board = {**soft, "friction": [scene.board_friction, 0.005, 0.0001], "priority": 2}
-    thickness = BOARD_HEIGHT_M / 2
-    add(
-        "bed_armboard",
-        BOX,
-        [*half, thickness],
-        [*middle, top + thickness],
-        [0.30, 0.46, 0.52, 1],
-        support,
-        **board,
-        **BED_TOUCH,
-    )
+    board = {**soft, "friction": [scene.board_friction, 0.005, 0.0001], "priority": 2, **BED_TOUCH}
+    half_m, blue = BOARD_HEIGHT_M / 2, [0.30, 0.46, 0.52, 1]
+    add("bed_armboard", BOX, [*half, half_m], [*middle, top + half_m], blue, support, **board)
     add("bed_armboard_arm", BOX, [0.03, half[1] * 0.6, 0.015], [middle[0], middle[1], top - 0.015], steel, support)
 
 
@@ -93,21 +81,16 @@ def add_light(spec: mujoco.MjSpec) -> None:
         ([0.4, 0.8, 2.8], [-0.2, -0.35, -1], 0.50),
         ([-1.0, -1.2, 2.6], [0.4, 0.5, -1], 0.22),
     ):
-        spec.worldbody.add_light(
-            pos=position, dir=direction, diffuse=[strength] * 3, specular=[0.08] * 3, castshadow=False,
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        )  # fmt: skip
-    spec.add_texture(
-        name="room", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.93, 0.90], rgb2=[0.74, 0.75, 0.74], width=128, height=768,
-    )  # fmt: skip
+        lamp = {"pos": position, "dir": direction, "diffuse": [strength] * 3, "specular": [0.08] * 3}
+        spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False, **lamp)
+    sky, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    colours = {"rgb1": [0.93, 0.93, 0.90], "rgb2": [0.74, 0.75, 0.74]}
+    spec.add_texture(name="room", type=sky, builtin=gradient, width=128, height=768, **colours)
     spec.visual.map.znear, spec.visual.map.zfar = 0.01, 8.0
     spec.visual.quality.offsamples = 0
     spec.visual.quality.shadowsize = 0
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
 
-
-# Light of the room: a seed draws its strength, direction and colour, which are set in a compiled model.
 
 STRENGTH = (0.65, 1.35)
 """Range of the factor on every lamp and on the ambient light."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,8 +33,6 @@ from carecontact.world.randomization import UNMOVED, Place
 from carecontact.world.robot import add_robot, replace_impedance
 from carecontact.world.room import add_furniture, add_light
 
-# Adds the protocol's cameras to the world.
-
 
 def look_at(camera: Camera) -> np.ndarray:
     """Return the orientation (4,) wxyz of a MuJoCo camera (x right, y up, looking along -z)."""
@@ -50,12 +49,9 @@ def look_at(camera: Camera) -> np.ndarray:
 def add_cameras(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     for name, camera in protocol.cameras.items():
         parent = spec.worldbody if camera.mount == "world" else spec.body(protocol.scene.robot.flange_body)
-        parent.add_camera(name=name, pos=camera.position_m, quat=look_at(camera), fovy=camera.fovy_deg,
-                          resolution=[camera.width, camera.height])  # fmt: skip
+        size = [camera.width, camera.height]
+        parent.add_camera(name=name, pos=camera.position_m, quat=look_at(camera), fovy=camera.fovy_deg, resolution=size)
 
-
-# Sensors for the scorer alone. Each keeps every physics step of a control period in its history, so that no peak is
-# lost.
 
 CONTACT_SLOTS = 12
 """Number of contacts for each segment that the sum of normal forces can hold; a recording says so if a segment ever had
@@ -65,6 +61,8 @@ more at once."""
 FOUND_BIT, FORCE_BIT, POS_BIT = 1 << 0, 1 << 1, 1 << 4
 NETFORCE, MAXFORCE = 3, 2
 
+Named = tuple[mujoco.mjtObj, str]
+"""Kind and name of an element of the model."""
 TIP_SENSOR, HAND_SENSOR = "normal_by_tip", "normal_by_hand"
 """Contact of the robot's tip, and of its whole hand with the tip, with any rigid surface of the person. They say which
 part of the robot the sensors of segments felt; one more sensor for each part and segment would make a step a tenth
@@ -77,57 +75,41 @@ def plate_sensor(plate: str) -> str:
 
 
 def add_sensors(spec: mujoco.MjSpec, hinges: list[Hinge], protocol: Protocol) -> None:
-    """Add sensors for every segment, every scored joint and every region of the protocol.
+    """Add sensors for the scorer alone: of every segment, every scored joint and every region of the protocol.
 
     The sensors of segments measure contact with their rigid surfaces; the compiled tissue measures that with soft
-    shells.
+    shells. One control period is one call into C between two moves of the target, and the sensors keep all of its
+    steps, so that no peak is lost.
     """
-    # One control period is one call into C between two moves of the target, and the sensors keep all of its steps.
     samples = round(protocol.physics.target_period_s / protocol.physics.dt_s)
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
-    def contact(
-        name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str], data: int, reduce: int, num: int
-    ) -> None:
-        spec.add_sensor(
-            name=name, type=kind.mjSENS_CONTACT, objtype=first[0], objname=first[1], reftype=second[0],
-            refname=second[1], intprm=[data, reduce, num], nsample=samples,
-        )  # fmt: skip
+    def add(name: str, sensor: mujoco.mjtSensor, objtype: mujoco.mjtObj, objname: str, **more: Any) -> None:
+        spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname, nsample=samples, **more)
 
-    def normal(name: str, first: tuple[mujoco.mjtObj, str], second: tuple[mujoco.mjtObj, str]) -> None:
-        contact(name, first, second, FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
+    def contact(name: str, first: Named, second: Named, *intprm: int) -> None:
+        add(name, kind.mjSENS_CONTACT, *first, reftype=second[0], refname=second[1], intprm=intprm)
 
     names = protocol.scene.robot
     robot, person = (obj.mjOBJ_XBODY, names.base_body), (obj.mjOBJ_XBODY, body_name("pelvis"))
-
-    def surface(name: str, body: str) -> None:
-        contact(f"net_{name}", robot, (obj.mjOBJ_BODY, body), FORCE_BIT | POS_BIT, NETFORCE, 1)
-        normal(f"normal_{name}", robot, (obj.mjOBJ_BODY, body))
-
-    for segment in SEGMENTS:
-        surface(segment, body_name(segment))
-    for plate in PLATES:
-        surface(plate_sensor(plate.name), plate_body(plate.name))
-    normal(TIP_SENSOR, (obj.mjOBJ_GEOM, names.tip.geom), person)
-    normal(HAND_SENSOR, (obj.mjOBJ_BODY, names.flange_body), person)
+    net, normal = (FORCE_BIT | POS_BIT, NETFORCE, 1), (FOUND_BIT | FORCE_BIT, MAXFORCE, CONTACT_SLOTS)
+    surfaces = {segment: body_name(segment) for segment in SEGMENTS}
+    surfaces |= {plate_sensor(plate.name): plate_body(plate.name) for plate in PLATES}
+    for name, body in surfaces.items():
+        contact(f"net_{name}", robot, (obj.mjOBJ_BODY, body), *net)
+        contact(f"normal_{name}", robot, (obj.mjOBJ_BODY, body), *normal)
+    contact(TIP_SENSOR, (obj.mjOBJ_GEOM, names.tip.geom), person, *normal)
+    contact(HAND_SENSOR, (obj.mjOBJ_BODY, names.flange_body), person, *normal)
     for hinge in hinges:
-        spec.add_sensor(name=f"q_{hinge.name}", type=kind.mjSENS_JOINTPOS, objtype=obj.mjOBJ_JOINT,
-                        objname=f"human_{hinge.name}", nsample=samples)  # fmt: skip
-
-    def frame(name: str, sensor: mujoco.mjtSensor, objtype: mujoco.mjtObj, objname: str) -> None:
-        spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=objname, nsample=samples)
-
-    frame("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, names.tcp_site)
-    frame("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, names.tcp_site)
-    frame("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, names.tcp_site)
-    frame("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, names.tcp_site)
-    frame("wrist_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, body_name("right_hand"))
+        add(f"q_{hinge.name}", kind.mjSENS_JOINTPOS, obj.mjOBJ_JOINT, f"human_{hinge.name}")
+    add("tcp_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, names.tcp_site)
+    add("tcp_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, names.tcp_site)
+    add("tcp_velocity", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, names.tcp_site)
+    add("tcp_rotation", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, names.tcp_site)
+    add("wrist_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_XBODY, body_name("right_hand"))
     for region in protocol.regions:
-        frame(f"region_{region}_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, f"region_{region}")
-        frame(f"region_{region}_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, f"region_{region}")
-
-
-# The whole world as one MjSpec, and the named handles into it.
+        add(f"region_{region}_position", kind.mjSENS_FRAMEPOS, obj.mjOBJ_SITE, f"region_{region}")
+        add(f"region_{region}_quat", kind.mjSENS_FRAMEQUAT, obj.mjOBJ_SITE, f"region_{region}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +127,7 @@ class Scene:
     control: Control = CONTROLS[CARTESIAN_IMPEDANCE]
     """The controller that moves the robot."""
     place: Place = UNMOVED
-    """Place to which the person was moved after the compilation (``world.place``)."""
+    """Place to which the person was moved after the compilation."""
 
     @property
     def robot(self) -> Robot:
@@ -166,8 +148,7 @@ class Scene:
     @property
     def model_sha256(self) -> str:
         """Hash of the compiled model's bytes, which identifies the physics of a recording."""
-        size = mujoco.mj_sizeModel(self.model)
-        buffer = np.zeros(size, np.uint8)
+        buffer = np.zeros(mujoco.mj_sizeModel(self.model), np.uint8)
         mujoco.mj_saveModel(self.model, None, buffer)
         return hashlib.sha256(buffer.tobytes()).hexdigest()
 
@@ -219,27 +200,23 @@ def _add_person(
     """Add skeleton and shells, with the pelvis at ``root`` (3,) [m]."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, trunk_rotation(body).ravel())
-    alive = protocol.person.alive
+    alive, soft = protocol.person.alive, protocol.soft_regions
     breathes = alive.breathing is not None
-    hinges = add_skeleton(
-        spec, body, root_position=root, root_quat=quat, soft_regions=protocol.soft_regions,
-        front=add_slide if breathes else None,
-    )  # fmt: skip
+    front = add_slide if breathes else None
+    hinges = add_skeleton(spec, body, root_position=root, root_quat=quat, soft_regions=soft, front=front)
     if breathes:
         add_servos(spec)
     if alive.uses_the_arm:
         add_muscles(spec)
     regions: dict[str, SoftRegion] = {}
-    robot = protocol.scene.robot
-    for region in protocol.soft_regions:
-        tissue, turn = tissue_of(body, region, protocol.person.tissue[region]), arm_turn(protocol)
+    robot, turn = protocol.scene.robot, arm_turn(protocol)
+    tools, tip = robot.base_body, robot.tip.geom
+    for region in soft:
+        tissue, segment = tissue_of(body, region, protocol.person.tissue[region]), REGIONS[region].segment
         shell = cached_shell(body, region, tissue, partial(region_shell, body, region, tissue, turn), turn=turn)
-        on = carrier(REGIONS[region].segment, breathes=breathes)
-        under = plate_under(REGIONS[region].segment)
+        on, under = carrier(segment, breathes=breathes), plate_under(segment)
         floor = None if under is None else plate_body(under)
-        regions[region] = add_tissue(
-            spec, body, region, shell, tissue, tools=robot.base_body, tip=robot.tip.geom, on=on, floor=floor
-        )
+        regions[region] = add_tissue(spec, body, region, shell, tissue, tools=tools, tip=tip, on=on, floor=floor)
     return hinges, regions
 
 
@@ -253,11 +230,9 @@ def _add_region_site(spec: mujoco.MjSpec, body: Body, region: str, frame: Region
 
 def build_scene(protocol: Protocol, *, target: str | None, skin: bool = True) -> Scene:
     """Compile the world. The angle of the comfort arm is not part of the model: it is set when the person settles."""
-    spec, body, rows, regions, frames = build_spec(protocol, target=target, skin=skin)
-    return Scene(
-        model=spec.compile(), protocol=protocol, body=body, hinges=tuple(rows), regions=regions, frames=frames,
-        spec=spec,
-    )  # fmt: skip
+    spec, body, hinges, regions, frames = build_spec(protocol, target=target, skin=skin)
+    handles = {"body": body, "hinges": tuple(hinges), "regions": regions, "frames": frames}
+    return Scene(model=spec.compile(), protocol=protocol, spec=spec, **handles)
 
 
 def controlled(scene: Scene, control: Control) -> Scene:
@@ -272,10 +247,9 @@ def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
     """Copy to a model what was changed in another one after its compilation: appearance, light, place of the person,
     rest angles.
     """
+    kept = ("actuator_", "tendon_", "wrap_", "sensor_", "name", "_", "jnt_actfrcrange")
     for name in dir(source):
-        if name.startswith(("actuator_", "tendon_", "wrap_", "sensor_", "name", "_")) or name == "jnt_actfrcrange":
-            continue
-        value = getattr(source, name)
+        value = None if name.startswith(kept) else getattr(source, name)
         if isinstance(value, np.ndarray) and value.shape == getattr(target, name).shape:
             getattr(target, name)[:] = value
 

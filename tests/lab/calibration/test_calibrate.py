@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ from carecontact.cli import main
 from carecontact.cli.groups import RulesGroup
 from carecontact.errors import ConfigError
 from carecontact.lab.calibration.calibrate import hardly_identified
-from carecontact.lab.calibration.certificate import Content, Value, content_sha256, read_certificate, reasons
+from carecontact.lab.calibration.certificate import Value, content_sha256, read_certificate, reasons
 from carecontact.lab.calibration.trial import template
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import load_tissue_set
 from carecontact.tissue import binary_lookup
 from tests.lab.calibration.conftest import HEADER, save
+
+Change = Callable[[Any], dict[str, object]]
 
 
 def presses(count: int, *, cell_n: float = np.inf, factor: float = 1.0) -> list[str]:
@@ -98,7 +101,7 @@ def test_figure_is_written(made: Path) -> None:
     assert (made / "out" / "calibration.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_same_data_same_content_and_every_evaluation_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_same_data_same_content_and_every_evaluation_is_shown(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing in it depends on when or where it was made."""
     again = made / "again"
     assert main(["calibrate", str(made / "trials.csv"), "--region", "forearm", "--out", str(again)]) == 0
@@ -140,63 +143,51 @@ def test_verify_fails_where_forces_are_others(made: Path, capsys: pytest.Capture
     assert "certificate was not reproduced" in out
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda c: {"tissue": c.tissue.model_copy(update={"a_n_m3": 2 * c.tissue.a_n_m3})}, "states a_n_m3"),
-        (lambda c: {"band": {**c.band, "error_change": 1.0}}, "the certificate allows"),
-        (lambda c: {"responses": []}, "0 of other trials"),
-        (lambda c: {"responses": [r.model_copy(update={"loading_n": [1.0]}) for r in c.responses]}, "depths expected"),
-        (lambda c: {"agreement": {}}, "agreement has []"),
-        (lambda c: {"stiffness": {}}, "stiffness has []"),
-        (lambda c: {"trials": 400}, "states trials 400, its data give 3"),
-        (lambda c: {"subjects": 40}, "states subjects 40"),
-        (lambda c: {"synthetic": False}, "states synthetic False"),
-        (lambda c: {"measured_depth_mm": 50.0}, "states measured_depth_mm 50"),
-        (lambda c: {"measured_stiffness": {**c.measured_stiffness, "secant_n_mm": 9.0}}, "states measured_stiffness"),
-        (lambda c: {"gate_is_extrapolated": False}, "not extrapolated"),
-        (lambda c: {"tissue": c.tissue.model_copy(update={"measured_depth_m": 0.015})}, "no anchor went deeper"),
-        (lambda c: {"hashes": {**c.hashes, "body": "0" * 64}}, "another man-adult: sha256 000000000000"),
-        (lambda c: {"hashes": {"data": c.hashes["data"]}}, "no hash of: body, mesh, model"),
-        (lambda c: {"versions": {}}, "mujoco"),
-        (lambda c: {"limits": {**c.limits, "nrmse": 0.5}}, "accepts errors up to"),
-        (lambda c: {"held_out": {**c.held_out, "nrmse": Value(value=0.2, ci95=None)}}, "held-out NRMSE 20.0%"),
-        (lambda c: {"verdict": "rejected"}, "says rejected, its own figures: accepted"),
-        (lambda c: {"tissue": c.tissue.model_copy(update={"calibration": None})}, "its tissue row nothing"),
-        (lambda c: {"plateaus": {"t0": 1.0}}, "its own figures: the force stays the same"),
-        (lambda c: {"versions": {"mujoco": c.versions["mujoco"]}}, "the kernel that made it"),
-    ],
-    ids=[
-        "law",
-        "band",
-        "responses",
-        "depths",
-        "agreement",
-        "stiffness",
-        "trials",
-        "subjects",
-        "synthetic",
-        "depth",
-        "measured",
-        "gate",
-        "row's depth",
-        "body",
-        "hashes",
-        "versions",
-        "limits",
-        "verdict",
-        "rejected",
-        "row's verdict",
-        "plateaus",
-        "kernel",
-    ],
-)
+CONTRADICTIONS: dict[str, tuple[Change, str]] = {
+    "law": (lambda c: {"tissue": c.tissue.model_copy(update={"a_n_m3": 2 * c.tissue.a_n_m3})}, "states a_n_m3"),
+    "band": (lambda c: {"band": {**c.band, "error_change": 1.0}}, "the certificate allows"),
+    "responses": (lambda c: {"responses": []}, "0 of other trials"),
+    "depths": (
+        lambda c: {"responses": [r.model_copy(update={"loading_n": [1.0]}) for r in c.responses]},
+        "depths expected",
+    ),
+    "agreement": (lambda c: {"agreement": {}}, "agreement has []"),
+    "stiffness": (lambda c: {"stiffness": {}}, "stiffness has []"),
+    "trials": (lambda c: {"trials": 400}, "states trials 400, its data give 3"),
+    "subjects": (lambda c: {"subjects": 40}, "states subjects 40"),
+    "synthetic": (lambda c: {"synthetic": False}, "states synthetic False"),
+    "depth": (lambda c: {"measured_depth_mm": 50.0}, "states measured_depth_mm 50"),
+    "measured": (
+        lambda c: {"measured_stiffness": {**c.measured_stiffness, "secant_n_mm": 9.0}},
+        "states measured_stiffness",
+    ),
+    "gate": (lambda c: {"gate_is_extrapolated": False}, "not extrapolated"),
+    "row's depth": (
+        lambda c: {"tissue": c.tissue.model_copy(update={"measured_depth_m": 0.015})},
+        "no anchor went deeper",
+    ),
+    "body": (lambda c: {"hashes": {**c.hashes, "body": "0" * 64}}, "another man-adult: sha256 000000000000"),
+    "hashes": (lambda c: {"hashes": {"data": c.hashes["data"]}}, "no hash of: body, mesh, model"),
+    "versions": (lambda c: {"versions": {}}, "mujoco"),
+    "limits": (lambda c: {"limits": {**c.limits, "nrmse": 0.5}}, "accepts errors up to"),
+    "verdict": (lambda c: {"held_out": {**c.held_out, "nrmse": Value(value=0.2, ci95=None)}}, "held-out NRMSE 20.0%"),
+    "rejected": (lambda c: {"verdict": "rejected"}, "says rejected, its own figures: accepted"),
+    "row's verdict": (
+        lambda c: {"tissue": c.tissue.model_copy(update={"calibration": None})},
+        "its tissue row nothing",
+    ),
+    "plateaus": (lambda c: {"plateaus": {"t0": 1.0}}, "its own figures: the force stays the same"),
+    "kernel": (lambda c: {"versions": {"mujoco": c.versions["mujoco"]}}, "the kernel that made it"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), CONTRADICTIONS.values(), ids=CONTRADICTIONS)
 def test_a_certificate_that_contradicts_itself_is_refused(
-    change: Callable[[Content], dict[str, object]], told: str, made: Path, capsys: pytest.CaptureFixture[str]
+    change: Change, message: str, made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = forged(made, **change(read_certificate(made / "out" / "certificate.json").content))
     assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -217,8 +208,8 @@ def test_a_certificate_that_contradicts_itself_is_refused(
     ],
     ids=["worse", "better", "stiffer", "nan"],
 )
-def test_what_is_computed_anew_must_be_what_is_stated(
-    change: Callable[[Content], dict[str, object]], row: str, made: Path, capsys: pytest.CaptureFixture[str]
+def test_what_is_computed_again_must_be_what_is_stated(
+    change: Change, row: str, made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = forged(made, **change(read_certificate(made / "out" / "certificate.json").content))
     assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 1
@@ -241,16 +232,16 @@ def test_verify_wants_the_same_data(made: Path, capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [("{}", "not a calibration certificate"), ("", "not a calibration certificate"), (None, "no such file")],
 )
-def test_bad_certificates(text: str | None, told: str, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_certificates(text: str | None, message: str, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = made / "bad.json"
     path.unlink(missing_ok=True)
     if text is not None:
         path.write_text(text)
     assert main(["calibrate", str(made / "trials.csv"), "--verify", str(path)]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_changed_certificate_is_refused(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -260,7 +251,7 @@ def test_changed_certificate_is_refused(made: Path, capsys: pytest.CaptureFixtur
     assert "was changed after it was written" in capsys.readouterr().err
 
 
-def test_a_single_trial_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_single_trial_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trials = save(tmp_path / "t.csv", presses(1))
     assert main(["calibrate", str(trials), "--region", "forearm", "--out", str(tmp_path / "out")]) == 1
     content = read_certificate(tmp_path / "out" / "certificate.json").content
@@ -289,7 +280,7 @@ def test_damping_of_a_single_trial_has_no_interval_and_says_so(tmp_path: Path) -
 
 def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trials = save(tmp_path / "t.csv", presses(1), header=HEADER.replace("force_N", "forse_N"))
-    for arguments, told in (
+    for arguments, message in (
         ([str(trials), "--region", "forearm"], "no column force_N (is it 'forse_N'?)"),
         ([], "TRIALS.csv is missing"),
         ([str(trials), "--region", "knee"], "--region 'knee' is not a soft region of bathing-v3-draft; valid: forearm"),
@@ -300,7 +291,7 @@ def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     ):
         assert main(["calibrate", *arguments]) == 2
         error = capsys.readouterr().err
-        assert told in error
+        assert message in error
         assert len(error.strip().splitlines()) == 1
 
 
@@ -385,14 +376,14 @@ def test_every_limit_and_every_doubt_has_its_reason(made: Path) -> None:
     assert reasons(content) == []
     held = content.held_out
     assert held is not None
-    for name, value, told in (
+    for name, value, message in (
         ("nrmse", 0.051, "held-out NRMSE 5.1%, limit 5%"),
         ("tangent_error", -0.185, "held-out tangent stiffness -18.5%, limit 5%"),
         ("tangent_error", float("nan"), "held-out tangent stiffness +nan%, limit 5%"),
         ("work_error", 1.67, "held-out total work lost +167.0%, limit 10%"),
     ):
         changed = {**held, name: Value(value=value, ci95=None)}
-        assert reasons(content.model_copy(update={"held_out": changed})) == [told]
+        assert reasons(content.model_copy(update={"held_out": changed})) == [message]
     assert "far from published tissue" in reasons(content.model_copy(update={"published_ratio": 0.1}))[0]
     outside = {**content.law, "a_n_m3": Value(value=2e6, ci95=(3e6, 4e6))}
     assert "estimate of a_n_m3 is 2e+06 and lies outside" in reasons(content.model_copy(update={"law": outside}))[0]

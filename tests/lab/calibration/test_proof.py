@@ -133,7 +133,7 @@ def test_same_mesh_gives_the_law_s_damping(same_mesh: Proof) -> None:
 def analytic_errors(proof: Proof, truth: Any, setup: Any, motion: Callable[..., Any]) -> np.ndarray:
     """(3,) errors of the calibrated tissue at the same places: secant and tangent of slow presses, and all work lost.
 
-    Depths count from where the force is TOUCH_SHARE of the peak, as in the trials: a law that begins flat shows nobody
+    Depths count from where the force is TOUCH_SHARE of the peak, as in the trials: a law that begins flat hides
     where its zero is.
     """
     bench = Bench(

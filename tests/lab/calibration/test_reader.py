@@ -1,4 +1,4 @@
-"""What a trials file may hold, and what is said where it may not."""
+"""What a trials file may hold, and what the error says where it may not."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_trial_is_read_in_si_units(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("edit", "told"),
+    ("edit", "message"),
     [
         (lambda r: column(r, "indentation_mm", lambda v: f"{float(v) / 1000:.8f}"), r"looks like metres"),
         (lambda r: column(r, "indentation_mm", lambda v: f"{float(v) * 1000:.3f}"), r"looks like micrometres"),
@@ -60,8 +60,8 @@ def test_a_trial_is_read_in_si_units(tmp_path: Path) -> None:
         (lambda r: [], r"no rows"),
     ],
 )  # fmt: skip
-def test_faults_name_the_place(edit: Edit, told: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_faults_name_the_place(edit: Edit, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=message):
         read_trials(save(tmp_path / "t.csv", edit(rows())), region="forearm")
 
 
@@ -72,7 +72,7 @@ def test_missing_columns_are_all_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "message"),
     [
         (b"", "is empty"),
         (b"\n\n", "is empty"),
@@ -80,9 +80,9 @@ def test_missing_columns_are_all_named(tmp_path: Path) -> None:
         (b"t_s,indentation_mm,force_N\n\x81", "line 2: not UTF-8"),
     ],
 )
-def test_files_that_are_no_table(data: bytes, told: str, tmp_path: Path) -> None:
+def test_files_that_are_no_table(data: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_bytes(data)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=message):
         read_trials(tmp_path / "t.csv", region="forearm")
 
 
@@ -101,13 +101,13 @@ def test_no_file_and_folder(tmp_path: Path) -> None:
         read_trials(tmp_path, region="forearm")
 
 
-def test_other_sites_are_left_out_and_told(tmp_path: Path) -> None:
+def test_other_sites_are_left_out_and_counted(tmp_path: Path) -> None:
     file = read_trials(save(tmp_path / "t.csv", rows("a") + rows("b", site="Upper arm anterior")), region="upper_arm")
     assert [trial.trial_id for trial in file.trials] == ["b"]
     assert file.notes == ("60 rows of other sites left out",)
 
 
-def test_long_trials_are_averaged_and_told(tmp_path: Path) -> None:
+def test_long_trials_are_averaged_and_counted(tmp_path: Path) -> None:
     file = read_trials(save(tmp_path / "t.csv", rows(n=9000)), region="forearm")
     trial = file.trials[0]
     assert len(trial.time_s) <= MAX_SAMPLES
@@ -324,9 +324,9 @@ REFUSED: dict[str, tuple[File, str]] = {
 
 @pytest.mark.parametrize("dialect", REFUSED)
 def test_a_file_that_may_be_misread_is_refused_in_one_line(dialect: str, tmp_path: Path) -> None:
-    content, told = REFUSED[dialect]
+    content, message = REFUSED[dialect]
     setup = SETUP if "indenter" not in dialect else None
-    with pytest.raises(ConfigError, match=told) as found:
+    with pytest.raises(ConfigError, match=message) as found:
         read_trials(written(tmp_path, content), region="forearm", setup=setup)
     assert "\n" not in str(found.value)
 
@@ -378,7 +378,7 @@ def test_speeds_found_in_paths_are_nominal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "setup", "told"),
+    ("content", "setup", "message"),
     [
         (table(), None, r"no column indenter_shape; add it, or give --indenter flat:10.7"),
         (table(), Setup(indenter_shape="flat"), r"no column indenter_size_mm"),
@@ -389,8 +389,8 @@ def test_speeds_found_in_paths_are_nominal(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_a_press_needs_is_stated_once(content: str, setup: Setup | None, told: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=told):
+def test_what_a_press_needs_is_stated_once(content: str, setup: Setup | None, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=message):
         read_trials(written(tmp_path, content), region="forearm", setup=setup)
 
 

@@ -151,8 +151,8 @@ def test_every_region_has_a_row_of_panels_and_one_legend_tells_the_lines() -> No
     figure = Figure(layout="constrained")
     draw(done, figure)
     assert len(figure.axes) == 15
-    told = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert told == ["finite elements, all skins", "middle skin", "no skin", "simulator", "people, middle"]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["finite elements, all skins", "middle skin", "no skin", "simulator", "people, middle"]
     figure.savefig(BytesIO(), format="png")
 
 
@@ -181,7 +181,7 @@ def test_the_stored_table_is_what_the_judge_says_today(case) -> None:
     found = solve.answer(case, MIDDLE)
     stored = [s for s in standards() if s.region == case.region]
     here = [quantity.of(found) for quantity in quantities(case)]
-    # Percentages are told in points.
+    # Percentages are in points.
     np.testing.assert_allclose(here, [s.skins[SKINS.index(MIDDLE)] for s in stored], rtol=0.005, atol=0.005)
 
 

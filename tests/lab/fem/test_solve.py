@@ -206,6 +206,7 @@ def test_two_methods_give_the_same_force(case, skin) -> None:
     np.testing.assert_allclose(force, Sample(medium).press(case.main, TRAVELS_M), rtol=0.025)
 
 
+@pytest.mark.slow
 def test_finer_hexahedra_come_closer() -> None:
     forearm = CASES[1]
     medium = Medium(ground=forearm.ground, skin=MIDDLE, tissue_pa=15e3)
@@ -218,17 +219,17 @@ def test_finer_hexahedra_come_closer() -> None:
 def test_without_scikit_fem_the_command_says_what_installs_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # What is imported anew is forgotten afterwards.
+    # What is imported again is forgotten afterwards.
     monkeypatch.setattr(sys.modules["carecontact.lab"], "fem", fem)
     for name in [n for n in sys.modules if n.split(".")[0] == "skfem" or "lab.fem" in n]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "skfem", None)
     with pytest.raises(SystemExit) as exit_:
-        raise SystemExit(main(["validate", "--fem"]))
+        raise SystemExit(main(["verify", "physics", "--fem"]))
     assert exit_.value.code != 0
-    told = capsys.readouterr()
-    assert "pip install 'carecontact[fem]'" in told.out + told.err
-    assert "Traceback" not in told.out + told.err
+    printed = capsys.readouterr()
+    assert "pip install 'carecontact[fem]'" in printed.out + printed.err
+    assert "Traceback" not in printed.out + printed.err
 
 
 BELLY, FOREARM, UPPER_ARM = CASES

@@ -13,9 +13,9 @@ from carecontact.human import soft_region
 from carecontact.human.breathing import breath_body
 from carecontact.lab.validation import alive, declared, energy, force_balance, sensitivity, stability, uniformity
 from carecontact.lab.validation.alive import BREATHES, arm
-from carecontact.lab.validation.alive import alive as alive_alive
+from carecontact.lab.validation.alive import alive as living
 from carecontact.lab.validation.convergence import MESH_REFERENCES, RADIUS_FACTORS, TREND_DEPTH_M, TRENDS
-from carecontact.lab.validation.declared import declared as declared_declared
+from carecontact.lab.validation.declared import declared as declared_times
 from carecontact.lab.validation.declared import free_skin, free_skin_measures
 from carecontact.lab.validation.energy import Energy, Ledger, bounce, drag
 from carecontact.lab.validation.result import CheckResult, Measure
@@ -80,7 +80,7 @@ def paralysed(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
 
 @pytest.mark.parametrize("plant", [still_skin, paralysed])
 def test_a_belly_that_does_not_breathe_is_seen_by_every_camera(subject: Subject, plant: MakeScene) -> None:
-    measures = list(alive.breath_measures(alive_alive(Subject(subject.protocol, make_scene=plant)), BREATHES))
+    measures = list(alive.breath_measures(living(Subject(subject.protocol, make_scene=plant)), BREATHES))
     found = {name.partition(" mm: ")[2]: name for name in missed(measures) if name.startswith("abdomen")}
     assert set(found) == {
         "visible skin of the inner area against the declared size",
@@ -90,14 +90,14 @@ def test_a_belly_that_does_not_breathe_is_seen_by_every_camera(subject: Subject,
 
 
 def test_an_arm_that_does_not_arrive_is_found(subject: Subject) -> None:
-    measures = arm(alive_alive(Subject(subject.protocol, make_scene=weak)))
+    measures = arm(living(Subject(subject.protocol, make_scene=weak)))
     assert len(missed(measures)) == len(measures) == 2
 
 
 @pytest.mark.parametrize("body", ["man-adult", "man-old-heavy"])
 def test_the_skin_moves_as_declared_wherever_a_tool_feels_it(body: str) -> None:
     protocol = overridden(load_protocol(), {"person.body": body})
-    measures = list(alive.breath_measures(alive_alive(Subject(protocol)), BREATHES))
+    measures = list(alive.breath_measures(living(Subject(protocol)), BREATHES))
     sizes = [m for m in measures if m.limit is not None and m.decides]
     assert len(sizes) == 7
     assert all(m.met for m in sizes), missed(sizes)
@@ -191,7 +191,7 @@ def test_a_person_that_is_not_as_declared_is_named(defect: MakeScene, missed: se
 
 @pytest.mark.parametrize("region", ["forearm", "abdomen"])
 def test_a_sound_person_has_the_declared_times(subject: Subject, region: str) -> None:
-    found, wanted = free_skin(subject, region), declared_declared(subject, region)
+    found, wanted = free_skin(subject, region), declared_times(subject, region)
     assert found.dies_s == pytest.approx(wanted.dies_s, rel=2e-3)
     assert found.returns_s == pytest.approx(wanted.returns_s, rel=2e-3)
 
@@ -340,7 +340,7 @@ def test_a_bone_that_is_pushed_without_a_moment_is_found() -> None:
 # What the check of sensitivity varies.
 
 
-def test_the_depth_over_which_the_layer_stiffens_is_varied(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_depth_over_which_the_layer_stiffens_is_varied(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
     found: set[float] = set()
 
     def scores_of(simulation: Simulation, *_: object) -> Scores:
@@ -348,8 +348,9 @@ def test_the_depth_over_which_the_layer_stiffens_is_varied(monkeypatch: pytest.M
         return Scores(c1_n=1.0, c1_filtered_n=1.0, c5_n=1.0, stroke_m=1.0, beyond_measured=0.0)
 
     monkeypatch.setattr(sensitivity, "scores_of", scores_of)
-    monkeypatch.setattr(sensitivity, "perform", lambda *_: None)
-    sensitivity.run(Subject(load_protocol()), quick=False)
+    monkeypatch.setattr(sensitivity, "perform", lambda *_: ([], None))
+    monkeypatch.setattr(sensitivity, "MOTIONS", (sensitivity.GENTLE,))
+    sensitivity.run(subject, quick=False)
     assert found == {LAYER_M, LAYER_M / 2, LAYER_M * 2}
 
 
@@ -374,7 +375,7 @@ def test_a_random_trial_is_whole_if_its_whole_state_is_finite(subject: Subject, 
 
 
 def test_a_robot_that_is_not_held_back_fails(subject: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert stability.run(subject, quick=True).passed
+    """The short form passes with one that is (``test_the_protocols_person_misses_nothing_in_the_short_form``)."""
     monkeypatch.setattr(CartesianControl, "_hold_back", lambda self: None)
     missed = stability.run(subject, quick=True).missed
     assert [measure.name for measure in missed] == ["share of trials with a tool faster than 0.4 m/s"]

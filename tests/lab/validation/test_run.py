@@ -44,21 +44,21 @@ def test_unknown_checks_and_bodies_are_named() -> None:
     with pytest.raises(UnknownNameError, match="force-balance"):
         validate(load_protocol(), checks=["force-ballance"])
     with pytest.raises(UnknownNameError, match="man-adult"):
-        validate(load_protocol(), body="nobody", checks=["energy"])
+        validate(load_protocol(), body="no-body", checks=["energy"])
 
 
 def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[Validation] = []
+    seen: list[Validation] = []
 
     def never(*_: object) -> None:
         raise SettleError("person still moves at 12.0 mm/s")
 
     monkeypatch.setattr("carecontact.sim.simulation.Simulation.settle", never)
-    validation = validate(load_protocol(), quick=True, checks=["energy", "stability"], on_check=told.append)
+    validation = validate(load_protocol(), quick=True, checks=["energy", "stability"], on_check=seen.append)
     assert not validation.passed
-    assert [len(so_far.results) for so_far in told] == [1, 2]
-    assert [so_far.finished for so_far in told] == [False, True]
-    assert [so_far.results[-1].error for so_far in told] == ["person still moves at 12.0 mm/s"] * 2
+    assert [len(so_far.results) for so_far in seen] == [1, 2]
+    assert [so_far.finished for so_far in seen] == [False, True]
+    assert [so_far.results[-1].error for so_far in seen] == ["person still moves at 12.0 mm/s"] * 2
 
 
 def test_two_runs_write_the_same_record_without_traces_of_the_machine(tmp_path: Path) -> None:
@@ -118,7 +118,11 @@ def test_every_check_has_a_title_of_its_own() -> None:
     assert len(set(titles)) == len(CHECKS)
 
 
-@pytest.mark.parametrize("check", CHECKS)
+SLOW = {"determinism": pytest.mark.slow}
+"""Two trials in fresh processes; the tests of ``running`` compare the hashes of the same trial as well."""
+
+
+@pytest.mark.parametrize("check", [pytest.param(check, marks=SLOW.get(check, ())) for check in CHECKS])
 def test_the_protocols_person_misses_nothing_in_the_short_form(
     check: str, short_form: Callable[[str], CheckResult]
 ) -> None:

@@ -11,6 +11,7 @@ from carecontact.lab.validation.result import CheckResult
 from carecontact.lab.validation.smoothness import HALF_WAY_M, Ends, Scrub, dropouts, room, scrub, sliding_friction
 from carecontact.lab.validation.subject import HOVER_M, Subject, surface_point
 from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.tissue.plugin import Cells
 from tests.lab.validation.defects import ActsInContactOnly, frictionless, slippery
@@ -79,13 +80,20 @@ def test_friction_is_that_of_the_cells_over_which_the_tool_slides() -> None:
     assert share == 0.0
 
 
+TIME_S = np.arange(1000) * 0.002
+
+
+def a_scrub(**changes: np.ndarray) -> Scrub:
+    """A smooth scrub with 15 N, always at speed and turning round, over skin with a friction of 0.5."""
+    always, nine = np.ones(1000, bool), np.ones(9)
+    fields = {"time_s": TIME_S, "force_n": 15.0 * always, "along_n": np.zeros((1000, 2)), "steady": always}
+    return Scrub(**{**fields, "turning": always, "friction": 0.5 * nine, "sliding": nine, **changes})
+
+
 def test_a_rattling_scrub_fails() -> None:
     """Its force swings by 1 N at 50 Hz."""
-    time = np.arange(1000) * 0.002
-    done = Scrub(
-        time_s=time, force_n=15 + np.sin(2 * np.pi * 50 * time), along_n=np.zeros((1000, 2)), steady=time > 0.5,
-        turning=time < 0.1, friction=np.full(9, 0.5), sliding=np.ones(9),
-    )  # fmt: skip
+    swings = 15 + np.sin(2 * np.pi * 50 * TIME_S)
+    done = a_scrub(force_n=swings, steady=TIME_S > 0.5, turning=TIME_S < 0.1)
     measures = tuple(done.measures("abdomen", wanted=15.0, friction=0.5))
     result = CheckResult(check="smoothness", title="made up", measures=measures)
     assert [m.name for m in result.missed] == [
@@ -96,12 +104,8 @@ def test_a_rattling_scrub_fails() -> None:
 
 def test_a_force_that_turns_from_side_to_side_fails_though_its_size_is_steady() -> None:
     """Where the tool turns round, and in a slow stroke."""
-    time = np.arange(1000) * 0.002
-    along = np.stack([np.zeros(1000), np.where(time < 0.5, 0.3 * np.sin(2 * np.pi * 100 * time), 0.0)], 1)
-    done = Scrub(
-        time_s=time, force_n=np.full(1000, 15.0), along_n=along, steady=time > 1.0, turning=time < 0.5,
-        friction=np.full(9, 0.5), sliding=np.ones(9),
-    )  # fmt: skip
+    across = np.where(TIME_S < 0.5, 0.3 * np.sin(2 * np.pi * 100 * TIME_S), 0.0)
+    done = a_scrub(along_n=np.stack([np.zeros(1000), across], 1), steady=TIME_S > 1.0, turning=TIME_S < 0.5)
     missed = [m for m in done.measures("abdomen", wanted=15.0, friction=0.5) if m.met is False]
     assert [m.name for m in missed] == ["abdomen: force noise along the skin where it turns round above 20 Hz, rms"]
     assert missed[0].value == pytest.approx(0.3 / np.sqrt(2), rel=0.05)
@@ -112,28 +116,16 @@ def test_a_force_that_turns_from_side_to_side_fails_though_its_size_is_steady() 
 def test_where_the_tool_takes_the_skin_along_there_is_no_friction_to_judge(periods: int, missed: set[str]) -> None:
     """In so many of nine periods, no cell slides: that counts as not sliding, and not as friction."""
     still = np.arange(9) < periods
-    done = Scrub(
-        time_s=np.arange(1000) * 0.002, force_n=np.full(1000, 15.0), along_n=np.zeros((1000, 2)),
-        steady=np.ones(1000, bool), turning=np.ones(1000, bool),
-        friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0),
-    )  # fmt: skip
+    done = a_scrub(friction=np.where(still, np.nan, 0.5), sliding=np.where(still, 0.0, 1.0))
     measures = done.measures("abdomen", wanted=15.0, friction=0.5)
     assert {m.name.partition(": ")[2].partition(" ")[0] for m in measures if m.met is False} == missed
 
 
 def test_a_scrub_that_never_moved_meets_no_limit_of_noise() -> None:
-    time = np.arange(100) * 0.002
     none = np.zeros(0)
-    still = Scrub(
-        time_s=time, force_n=np.full(100, 5.0), along_n=np.zeros((100, 2)), steady=np.zeros(100, bool),
-        turning=np.ones(100, bool), friction=none, sliding=none,
-    )  # fmt: skip
-    missed = {m.name for m in still.measures("abdomen", wanted=5.0, friction=0.5)
-              if m.met is False}  # fmt: skip
-    assert {name.partition(": ")[2] for name in missed} >= {
-        "force noise above 20 Hz, rms",
-        "share of the time at speed",
-    }
+    still = a_scrub(steady=np.zeros(1000, bool), friction=none, sliding=none)
+    missed = {m.name.partition(": ")[2] for m in still.measures("abdomen", wanted=15.0, friction=0.5) if m.met is False}
+    assert missed >= {"force noise above 20 Hz, rms", "share of the time at speed"}
 
 
 @given(st.floats(0.0, 0.1), st.floats(0.0, 0.1))
@@ -164,15 +156,7 @@ def test_a_tool_that_lags_behind_turns_at_the_ends_of_its_way(up: float, down: f
 
 
 def with_tool(tool: str, *, body: str) -> Subject:
-    rules = load_protocol("bathing-v3-draft")
-    return Subject(
-        rules.model_copy(
-            update={
-                "person": rules.person.model_copy(update={"body": body}),
-                "scene": rules.scene.model_copy(update={"tool": tool}),
-            }
-        )
-    )
+    return Subject(overridden(load_protocol("bathing-v3-draft"), {"person.body": body, "scene.tool": tool}))
 
 
 def test_a_mitt_has_less_room_before_the_elbow_than_a_cap_and_is_put_back() -> None:
@@ -205,9 +189,7 @@ def test_a_mitt_that_scrubs_a_short_arm_stays_on_its_soft_skin() -> None:
     done = scrub(simulation, 15.0, strokes=2, region="upper_arm")
     assert met == set()
     assert done.force_n.max() < 25.0
-    missed = [m.name for m in done.measures("arm", wanted=15.0, friction=0.5)
-              if m.met is False]  # fmt: skip
-    assert missed == []
+    assert [m.name for m in done.measures("arm", wanted=15.0, friction=0.5) if m.met is False] == []
 
 
 def rigid_contacts(simulation: Simulation) -> set[str]:
@@ -226,11 +208,7 @@ def test_every_region_is_scrubbed_with_both_forces_and_stroked_slowly(
         simulation: object, newton: float, *, strokes: int, region: str, speed_m_s: float = smoothness.SPEED_M_S
     ) -> Scrub:
         asked.append((region, newton, speed_m_s))
-        one = np.ones(100)
-        return Scrub(
-            time_s=np.arange(100) * 0.002, force_n=one, along_n=np.zeros((100, 2)), steady=one > 0, turning=one > 0,
-            friction=one, sliding=one,
-        )  # fmt: skip
+        return a_scrub()
 
     monkeypatch.setattr(smoothness, "scrub", noted)
     smoothness.run(subject, quick=False)

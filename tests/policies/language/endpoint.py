@@ -54,10 +54,13 @@ def completion(
 ) -> dict[str, Any]:
     message = {"role": "assistant", "content": text, "refusal": refusal}
     return {
-        "id": "c1", "object": "chat.completion", "created": 1, "model": model,
+        "id": "c1",
+        "object": "chat.completion",
+        "created": 1,
+        "model": model,
         "choices": [{"index": 0, "message": message, "finish_reason": finish_reason, "logprobs": None}],
         "usage": {"prompt_tokens": 1, "completion_tokens": 1, "total_tokens": 2},
-    }  # fmt: skip
+    }
 
 
 def says(text: str | None, **more: Any) -> Answer:
@@ -131,7 +134,7 @@ def refuses(parameter: str, *, then: Answer, named: bool = True) -> Answer:
 
 
 def drop(after: int) -> Answer:
-    """The connection ends after some bytes of the body; 0: before anything was said."""
+    """The connection ends after some bytes of the body; 0: before any of it."""
 
     def answer(handler: BaseHTTPRequestHandler, asked: dict[str, Any]) -> None:
         content = json.dumps(completion("never whole")).encode()

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import pytest
 
@@ -31,7 +30,7 @@ def test_nothing_set() -> None:
         ("http://[::1]:8000", "[::1]:8000"),
     ],
 )
-def test_of_the_address_the_host_is_told(monkeypatch: pytest.MonkeyPatch, url: str, endpoint: str) -> None:
+def test_of_the_address_the_host_is_shown(monkeypatch: pytest.MonkeyPatch, url: str, endpoint: str) -> None:
     monkeypatch.setenv("OPENAI_BASE_URL", url)
     assert address_of_environment().endpoint == endpoint
 
@@ -49,12 +48,11 @@ def test_every_secret_is_known_and_none_is_shown(monkeypatch: pytest.MonkeyPatch
     assert "sesame" not in repr(address)
 
 
+NO_PLACES = ("", "[bad/v1", "h:99999/v1", "h/v1?key=1", "h/v1#a", "h /v1", "h/\n", "h/" + "a" * 500)
+
+
 @pytest.mark.usefixtures("_nothing_set")
-@pytest.mark.parametrize(
-    "url",
-    ["models.example/v1", "ftp://models.example", "http://", "http://[bad/v1", "http://h:99999/v1", "http://h/v1?key=1",
-     "http://h/v1#a", "http://h /v1", "http://h/\n", "http://h/" + "a" * 500],
-)  # fmt: skip
+@pytest.mark.parametrize("url", ["models.example/v1", "ftp://models.example", *(f"http://{p}" for p in NO_PLACES)])
 def test_no_address(monkeypatch: pytest.MonkeyPatch, url: str) -> None:
     monkeypatch.setenv("OPENAI_BASE_URL", url)
     with pytest.raises(ConfigError, match="OPENAI_BASE_URL: expected http"):
@@ -78,10 +76,8 @@ def test_what_is_in_time_is_returned_or_raised() -> None:
 
 def test_what_is_late_is_left_to_itself() -> None:
     held = threading.Event()
-    began = time.monotonic()
     with pytest.raises(TimeoutError):
         call_within(0.05, held.wait)
-    assert time.monotonic() - began < 1
     held.set()
 
 

@@ -117,17 +117,17 @@ class Says:
 
     name, model = "live:m-1", "m-1"
 
-    def __init__(self, *said: str | Completion) -> None:
-        self.said, self.asked = list(said), list[CompletionRequest]()
+    def __init__(self, *answers: str | Completion) -> None:
+        self.answers, self.asked = list(answers), list[CompletionRequest]()
 
     def complete(self, request: CompletionRequest) -> Completion:
         self.asked.append(request)
-        said = self.said.pop(0)
-        return said if isinstance(said, Completion) else Completion(text=said, model="m-1-exact")
+        answer = self.answers.pop(0)
+        return answer if isinstance(answer, Completion) else Completion(text=answer, model="m-1-exact")
 
 
-def model(*said: str | Completion, record: Path | None = None) -> tuple[LanguageModel, Says]:
-    source = Says(*said)
+def model(*answers: str | Completion, record: Path | None = None) -> tuple[LanguageModel, Says]:
+    source = Says(*answers)
     return LanguageModel(Transcript(source, record=record)), source
 
 
@@ -146,13 +146,15 @@ def test_reads_an_instruction() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
-    [({"unclear": "which arm?"}, "finds it unclear: which arm"),
-     ({"side": "none"}, "side none for the forearm; valid: right or left"),
-     ({"region": "abdomen"}, "side right for the abdomen; valid: none")],
-)  # fmt: skip
-def test_an_unclear_instruction_is_refused(changed: dict[str, str], told: str) -> None:
-    with pytest.raises(LanguageError, match=told):
+    ("changed", "fault"),
+    [
+        ({"unclear": "which arm?"}, "finds it unclear: which arm"),
+        ({"side": "none"}, "side none for the forearm; valid: right or left"),
+        ({"region": "abdomen"}, "side right for the abdomen; valid: none"),
+    ],
+)
+def test_an_unclear_instruction_is_refused(changed: dict[str, str], fault: str) -> None:
+    with pytest.raises(LanguageError, match=fault):
         model(json.dumps(READ | changed))[0].parse("scrub the forearm")
 
 
@@ -163,11 +165,11 @@ def test_an_answer_between_fences_is_taken(fenced: str) -> None:
     assert len(source.asked) == 1
 
 
-def test_a_wrong_number_is_told_in_few_words() -> None:
+def test_a_wrong_number_is_reported_in_few_words() -> None:
     backend, _ = model(*['{"number": 999, "reason": ""}'] * 2)
-    with pytest.raises(LanguageError, match=r"number: .*expected a whole number from 0 to 299, got 999") as told:
+    with pytest.raises(LanguageError, match=r"number: .*expected a whole number from 0 to 299, got 999") as raised:
         backend.choose(INTENT, OPTIONS * 100)
-    assert len(str(told.value)) < 300
+    assert len(str(raised.value)) < 300
 
 
 def test_selects_by_a_closed_schema() -> None:
@@ -180,9 +182,15 @@ def test_selects_by_a_closed_schema() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    ['{"number": 3, "reason": ""}', '{"number": -1, "reason": ""}', '{"number": true, "reason": ""}',
-     '{"number": 1.0, "reason": ""}', '{"number": "2"}', '{"number": 1}', "2", "", "none"],
-)  # fmt: skip
+    [
+        *(f'{{"number": {n}, "reason": ""}}' for n in ("3", "-1", "true", "1.0")),
+        '{"number": "2"}',
+        '{"number": 1}',
+        "2",
+        "",
+        "none",
+    ],
+)
 def test_a_wrong_answer_is_repaired_once(wrong: str) -> None:
     backend, source = model(wrong, '{"number": 1, "reason": ""}')
     assert backend.choose(INTENT, OPTIONS) == 1
@@ -206,16 +214,15 @@ def test_every_answer_is_accounted_for() -> None:
     backend.parse("x")
     backend.choose(INTENT, OPTIONS)
     calls = backend.take_calls()
-    assert [(c["purpose"], c["model"], c["backend"]) for c in calls] == [
-        ("parse", "m-1-exact", "live:m-1"), ("parse", "m-1-exact", "live:m-1"), ("choose", "m-1-exact", "live:m-1"),
-    ]  # fmt: skip
+    assert [c["purpose"] for c in calls] == ["parse", "parse", "choose"]
+    assert {(c["model"], c["backend"]) for c in calls} == {("m-1-exact", "live:m-1")}
     assert [c["request_sha256"] for c in calls] == [request.sha256 for request in source.asked]
-    assert calls[0]["completion_sha256"] == Completion(text="", model="whoever").sha256
+    assert calls[0]["completion_sha256"] == Completion(text="", model="any").sha256
     assert backend.take_calls() == []
 
 
 def test_a_recording_replays_to_the_same_end(tmp_path: Path) -> None:
-    record = tmp_path / "said.jsonl"
+    record = tmp_path / "answers.jsonl"
     backend, _ = model("wrong", '{"number": 1, "reason": ""}', record=record)
     backend.choose(INTENT, OPTIONS)
     replayed = LanguageModel(Transcript(Replay(record)))

@@ -39,13 +39,13 @@ def request(text: str = "hello", *, model: str = "m-1") -> CompletionRequest:
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    path = tmp_path / "said.jsonl"
+    path = tmp_path / "answers.jsonl"
     append_completion(path, request("a"), Completion(text="A", model="m-1-2026"))
     append_completion(path, request("b"), Completion(text="", refusal="no", model="m-1-2026"))
     return path
 
 
-def test_what_was_recorded_is_said_again(recorded: Path) -> None:
+def test_what_was_recorded_is_replayed(recorded: Path) -> None:
     source = Replay(recorded)
     assert source.complete(request("a")).text == "A"
     assert source.complete(request("b")).refusal == "no"
@@ -87,12 +87,12 @@ def test_the_first_answer_is_kept(recorded: Path) -> None:
 
 def line(text: str, answer: str, *, model: str = "m-1", key: str | None = None) -> str:
     asked = request(text, model=model)
-    said = Completion(text=answer, model="m").model_dump()
-    return json.dumps({"key": key or asked.sha256, "request": asked.model_dump(mode="json"), "completion": said})
+    completed = Completion(text=answer, model="m").model_dump()
+    return json.dumps({"key": key or asked.sha256, "request": asked.model_dump(mode="json"), "completion": completed})
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "fault"),
     [
         ("", "no completion"),
         ("{", "line 1: the line: Invalid JSON"),
@@ -109,9 +109,9 @@ def line(text: str, answer: str, *, model: str = "m-1", key: str | None = None) 
         (line("a", "A") + "\n" + line("a", "B"), "line 2: .*another answer to the same request"),
     ],
 )
-def test_a_file_that_is_none(tmp_path: Path, content: str, told: str) -> None:
+def test_a_file_that_is_none(tmp_path: Path, content: str, fault: str) -> None:
     (tmp_path / "bad.jsonl").write_bytes(content.encode("latin-1"))
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=fault):
         Replay(tmp_path / "bad.jsonl")
 
 
@@ -128,7 +128,7 @@ def test_a_record_that_cannot_be_written(tmp_path: Path) -> None:
         append_completion(tmp_path, request(), Completion(text="", model="m"))
 
 
-def test_what_is_no_file_is_told_at_once(tmp_path: Path) -> None:
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
         with pytest.raises(ConfigError, match=rf"replay file {path}: expected a regular file"):
@@ -145,8 +145,8 @@ def test_a_file_that_grows_while_it_is_read(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_where_an_answer_came_from_is_replayed(tmp_path: Path) -> None:
     given = Completion(text="A", model="m", endpoint="models.example", sent={"max_completion_tokens": 5})
-    append_completion(tmp_path / "said.jsonl", request(), given)
-    assert Replay(tmp_path / "said.jsonl").complete(request()) == given
+    append_completion(tmp_path / "answers.jsonl", request(), given)
+    assert Replay(tmp_path / "answers.jsonl").complete(request()) == given
 
 
 def test_an_answer_without_an_endpoint_is_written_as_ever(recorded: Path) -> None:
@@ -171,8 +171,8 @@ KEY = "k/ey+\"with'<odd>&parts"
     ],
 )
 def test_every_spelling_is_found(spelled: Callable[[str], str]) -> None:
-    said = f"before {spelled(KEY)} after"
-    cleaned = Cleaner([KEY]).text(said)
+    text = f"before {spelled(KEY)} after"
+    cleaned = Cleaner([KEY]).text(text)
     assert REMOVED in cleaned
     assert cleaned.startswith("before ")
     assert cleaned.endswith(" after")
@@ -203,18 +203,22 @@ def test_what_is_cut_holds_no_part_of_a_secret() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "line"),
-    [("a\n\n  b\t", "a b"), ("\x1b[31m", r"\x1b[31m"), ("x" * 20, "x" * 20), ("x" * 21, "x" * 14 + " [...]"),
-     ("\x00" * 6, r"\x00\x00\x00\x" + " [...]"), ("", "")],
-)  # fmt: skip
-def test_one_line(said: str, line: str) -> None:
-    assert one_line(said, limit=20) == line
+    ("text", "line"),
+    [
+        ("a\n\n  b\t", "a b"),
+        ("\x1b[31m", r"\x1b[31m"),
+        ("x" * 20, "x" * 20),
+        ("x" * 21, "x" * 14 + " [...]"),
+        ("\x00" * 6, r"\x00\x00\x00\x" + " [...]"),
+        ("", ""),
+    ],
+)
+def test_one_line(text: str, line: str) -> None:
+    assert one_line(text, limit=20) == line
 
 
-# Real runs against endpoints that repeat the key: it is in nothing that a run prints or writes.
-
-KEY_IN_A_RUN_KEY = "sk-live-0123456789-SECRET"
-BEARER = f"Bearer {KEY_IN_A_RUN_KEY}"
+RUN_KEY = "sk-live-0123456789-SECRET"
+BEARER = f"Bearer {RUN_KEY}"
 READ = json.dumps({"action": "touch", "region": "forearm", "side": "right", "manner": "none", "unclear": ""})
 
 Run = Callable[..., list[dict[str, Any]]]
@@ -223,11 +227,11 @@ Run = Callable[..., list[dict[str, Any]]]
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Run:
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
-    monkeypatch.setenv("OPENAI_API_KEY", KEY_IN_A_RUN_KEY)
+    monkeypatch.setenv("OPENAI_API_KEY", RUN_KEY)
 
     def made(*answers: Answer, seeds: str) -> list[dict[str, Any]]:
         """Rows of the results, in the order of the trials."""
-        out, record = tmp_path / "run", tmp_path / "said.jsonl"
+        out, record = tmp_path / "run", tmp_path / "answers.jsonl"
         command = ["run", "--policy", "state-machine", "--language", "live:m-1", "--tasks", "T1", "--seeds", seeds]
         with endpoint(*answers) as server:
             monkeypatch.setenv("OPENAI_BASE_URL", server.url)
@@ -243,13 +247,13 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFi
 
 def _check_all_of_it(folder: Path, printed: Any) -> None:
     files = [path for path in folder.rglob("*") if path.is_file()]
-    assert {"results.json", "report.html", "T1-s000.h5", "said.jsonl"} <= {path.name for path in files}
+    assert {"results.json", "report.html", "T1-s000.h5", "answers.jsonl"} <= {path.name for path in files}
     kept = [path.read_bytes() for path in files] + [text.encode() for text in printed]
     for path in (path for path in files if path.suffix == ".h5"):
         recording = read_recording(path)
         kept += [array.tobytes() for array in recording.arrays.values()] + [recording.header.model_dump_json().encode()]
     assert any(b"[secret removed]" in content for content in kept)
-    assert not any(KEY_IN_A_RUN_KEY[3:].encode() in content for content in kept)
+    assert not any(RUN_KEY[3:].encode() in content for content in kept)
 
 
 def _calls(recording: Recording) -> list[dict[str, Any]]:
@@ -268,12 +272,11 @@ def test_in_one_trial(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_in_each_way_that_an_answer_can_be_none(run: Run, tmp_path: Path) -> None:
-    rows = run(
-        echo(401), body(f"<p>{BEARER} is busy</p>".encode()), says(None, refusal=f"not with {BEARER}"),
-        says(READ), says(f"no number, but {BEARER}", model="m" * 500_000), seeds="0-3",
-    )  # fmt: skip
-    told = ["HTTP 401: Incorrect", "not a chat completion", "is a refusal: not with", "does not fit its schema"]
-    for row, expected in zip(rows, told, strict=True):
+    busy, refusal = body(f"<p>{BEARER} is busy</p>".encode()), says(None, refusal=f"not with {BEARER}")
+    no_number = says(f"no number, but {BEARER}", model="m" * 500_000)
+    rows = run(echo(401), busy, refusal, says(READ), no_number, seeds="0-3")
+    faults = ["HTTP 401: Incorrect", "not a chat completion", "is a refusal: not with", "does not fit its schema"]
+    for row, expected in zip(rows, faults, strict=True):
         assert row["ended"] == "process_failure"
         assert expected in row["failure_message"]
     assert rows[0]["language_served"] is None

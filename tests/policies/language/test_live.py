@@ -53,8 +53,8 @@ def at(monkeypatch: pytest.MonkeyPatch, url: str, *, deadline_s: float = 5.0) ->
 def test_a_completion(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", "secret")
     with endpoint(says("good day")) as server:
-        said = at(monkeypatch, server.url).complete(REQUEST)
-    assert (said.text, said.model, said.finish_reason, said.refusal) == ("good day", "served-1", "stop", None)
+        answer = at(monkeypatch, server.url).complete(REQUEST)
+    assert (answer.text, answer.model, answer.finish_reason, answer.refusal) == ("good day", "served-1", "stop", None)
     (asked,) = server.asked
     assert (asked["path"], asked["key"]) == ("/v1/chat/completions", "Bearer secret")
     assert asked["messages"] == [{"role": "user", "content": "hello"}]
@@ -67,15 +67,14 @@ def test_a_schema_is_asked_for_in_the_strict_form(monkeypatch: pytest.MonkeyPatc
     with endpoint(says("{}")) as server:
         at(monkeypatch, server.url).complete(REQUEST.model_copy(update={"json_schema": schema}))
     wanted = server.asked[0]["response_format"]
-    assert (wanted["type"], wanted["json_schema"]["strict"], wanted["json_schema"]["schema"]) == (
-        "json_schema", True, schema,
-    )  # fmt: skip
+    assert wanted["type"] == "json_schema"
+    assert (wanted["json_schema"]["strict"], wanted["json_schema"]["schema"]) == (True, schema)
 
 
 def test_a_refusal_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     with endpoint(says(None, refusal="I would rather not")) as server:
-        said = at(monkeypatch, server.url).complete(REQUEST)
-    assert (said.text, said.refusal) == ("", "I would rather not")
+        answer = at(monkeypatch, server.url).complete(REQUEST)
+    assert (answer.text, answer.refusal) == ("", "I would rather not")
 
 
 @pytest.mark.parametrize(
@@ -88,7 +87,7 @@ def test_what_may_pass_is_tried_once_more(monkeypatch: pytest.MonkeyPatch, passi
 
 
 @pytest.mark.parametrize(
-    ("bad", "told", "asked"),
+    ("bad", "fault", "asked"),
     [
         (error(400, "no such parameter"), "HTTP 400: .*no such parameter", 1),
         (error(401, "bad key"), "HTTP 401", 1),
@@ -106,38 +105,34 @@ def test_what_may_pass_is_tried_once_more(monkeypatch: pytest.MonkeyPatch, passi
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )
-def test_what_is_no_completion_is_told(monkeypatch: pytest.MonkeyPatch, bad: Answer, told: str, asked: int) -> None:
-    with endpoint(bad) as server, pytest.raises(LanguageError, match=rf"^live:m-1: .*{told}"):
+def test_what_is_no_completion_is_named(monkeypatch: pytest.MonkeyPatch, bad: Answer, fault: str, asked: int) -> None:
+    with endpoint(bad) as server, pytest.raises(LanguageError, match=rf"^live:m-1: .*{fault}"):
         at(monkeypatch, server.url).complete(REQUEST)
     assert len(server.asked) == asked
 
 
 @pytest.mark.parametrize(
     "slow",
-    [silence(3), slow_headers(0.02), trickle(0.02), trickle(0.02, status=500), trickle(0.02, status=400)],
+    [silence(60), slow_headers(0.02), trickle(0.02), trickle(0.02, status=500), trickle(0.02, status=400)],
     ids=["silent", "headers", "body", "500", "400"],
 )
 def test_a_slow_endpoint_is_given_up(monkeypatch: pytest.MonkeyPatch, slow: Answer) -> None:
     with endpoint(slow, says("now")) as server:
         source = at(monkeypatch, server.url, deadline_s=0.3)
-        began = time.monotonic()
         with pytest.raises(LanguageError, match=r"no whole reply within 0\.3 s"):
             source.complete(REQUEST)
-        assert time.monotonic() - began < 1
         assert source.complete(REQUEST).text == "now"
 
 
 def test_a_host_whose_name_is_not_found_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: time.sleep(3))
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *args, **kwargs: time.sleep(60))
     source = at(monkeypatch, "http://slow.invalid/v1", deadline_s=0.3)
-    began = time.monotonic()
     with pytest.raises(LanguageError, match=r"no whole reply within 0\.3 s \(endpoint slow\.invalid\)"):
         source.complete(REQUEST)
-    assert time.monotonic() - began < 1
 
 
 @pytest.mark.parametrize(
-    ("large", "told"),
+    ("large", "fault"),
     [
         (flood(), "more than 1048576 bytes"),
         (flood(status=400), "HTTP 400: a{400}"),
@@ -147,12 +142,12 @@ def test_a_host_whose_name_is_not_found_in_time(monkeypatch: pytest.MonkeyPatch)
     ],
     ids=["200", "400", "307", "packed-200", "packed-400"],
 )
-def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch, large: Answer, told: str) -> None:
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch, large: Answer, fault: str) -> None:
     with endpoint(large) as server:
         source = at(monkeypatch, server.url)
         tracemalloc.start()
         try:
-            with pytest.raises(LanguageError, match=told):
+            with pytest.raises(LanguageError, match=fault):
                 source.complete(REQUEST)
             assert tracemalloc.get_traced_memory()[1] < 16 << 20
         finally:
@@ -173,11 +168,9 @@ def test_parameters_that_are_refused_are_left_out_from_then_on(monkeypatch: pyte
         source = at(monkeypatch, server.url)
         assert source.complete(REQUEST).sent == {"max_completion_tokens": 50}
         assert source.complete(REQUEST).sent == {"max_completion_tokens": 50}
-    told = [{"temperature", "max_tokens", "max_completion_tokens"} & asked.keys() for asked in server.asked]
-    assert told == [
-        {"temperature", "max_tokens"}, {"temperature", "max_completion_tokens"},
-        {"max_completion_tokens"}, {"max_completion_tokens"},
-    ]  # fmt: skip
+    newer = "max_completion_tokens"
+    sent = [{"temperature", "max_tokens", newer} & asked.keys() for asked in server.asked]
+    assert sent == [{"temperature", "max_tokens"}, {"temperature", newer}, {newer}, {newer}]
 
 
 @pytest.mark.parametrize(
@@ -199,10 +192,10 @@ def test_an_endpoint_that_goes_on_refusing(
 def test_where_an_answer_comes_from(monkeypatch: pytest.MonkeyPatch) -> None:
     with endpoint(says("x")) as server:
         host = server.url.split("/")[2]
-        said = at(monkeypatch, server.url.replace("//", "//someone:opensesame@")).complete(REQUEST)
-    assert (said.endpoint, said.sent) == (host, {"temperature": 0.0, "max_tokens": 50})
-    assert said.model_dump()["endpoint"] == host
-    assert "endpoint" not in said.model_copy(update={"endpoint": None}).model_dump()
+        answer = at(monkeypatch, server.url.replace("//", "//someone:opensesame@")).complete(REQUEST)
+    assert (answer.endpoint, answer.sent) == (host, {"temperature": 0.0, "max_tokens": 50})
+    assert answer.model_dump()["endpoint"] == host
+    assert "endpoint" not in answer.model_copy(update={"endpoint": None}).model_dump()
 
 
 def _b64(text: str) -> str:
@@ -221,11 +214,9 @@ def test_the_key_is_in_nothing_that_an_echo_says(
     key = "sk-test/0123+456789=Secret"
     monkeypatch.setenv("OPENAI_API_KEY", key)
     echoed = spelled(f"Bearer {key}")
-    said: dict[str, Answer] = {
-        "200": body(f"who is {echoed}?".encode()), "text": says(echoed), "model": says("", model=echoed),
-        "refusal": says(None, refusal=echoed), "finish_reason": says("", finish_reason=echoed),
-    }  # fmt: skip
-    with endpoint(said.get(place) or echo(int(place), spelled=spelled)) as server:
+    answers = {"200": body(f"who is {echoed}?".encode()), "text": says(echoed), "model": says("", model=echoed)}
+    answers |= {"refusal": says(None, refusal=echoed), "finish_reason": says("", finish_reason=echoed)}
+    with endpoint(answers.get(place) or echo(int(place), spelled=spelled)) as server:
         try:
             kept = repr(at(monkeypatch, server.url).complete(REQUEST))
         except LanguageError as raised:
@@ -244,12 +235,12 @@ def test_a_password_in_the_address_is_a_secret_too(monkeypatch: pytest.MonkeyPat
         source = at(monkeypatch, server.url.replace("//", "//me:opensesame@"))
         with pytest.raises(LanguageError) as raised:
             source.complete(REQUEST)
-        said = source.complete(REQUEST)
+        answer = source.complete(REQUEST)
     # It is sent in the place of the key.
     assert server.asked[0]["key"] == f"Basic {_b64('me:opensesame')}"
     assert f"provided: Basic {REMOVED}" in str(raised.value)
     assert "opensesame" not in str(raised.value)
-    assert said.text == f"me and {REMOVED}"
+    assert answer.text == f"me and {REMOVED}"
 
 
 def test_an_echo_of_a_key_that_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:

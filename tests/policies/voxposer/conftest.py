@@ -1,13 +1,19 @@
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from carecontact.policies.language.completion import MAX_TOKENS, Completion, CompletionRequest, Message, Transcript
+from carecontact.policies.language.completion import (
+    MAX_TOKENS,
+    Completion,
+    CompletionRequest,
+    Message,
+    Transcript,
+    append_completion,
+)
 from carecontact.policies.voxposer.maps import Grid
 from carecontact.policies.voxposer.programs import VOXPOSER, PromptSet
 from carecontact.policies.voxposer.sandbox import Sandbox
@@ -32,7 +38,7 @@ class Scripted:
 
     def __init__(self, programs: dict[tuple[str, str], str], prompts: PromptSet = VOXPOSER) -> None:
         self.programs = programs
-        self.roles = {prompts.system(role): role for role in prompts.roles}
+        self.roles = {prompts.roles[role]: role for role in prompts.roles}
 
     def complete(self, request: CompletionRequest) -> Completion:
         role, query = self.roles[request.messages[0].content], request.messages[1].content
@@ -50,19 +56,13 @@ def replay_file(tmp_path: Path) -> Callable[[dict[tuple[str, str], str]], Path]:
     """A replay file that answers voxposer's prompts with these programs."""
 
     def write(programs: dict[tuple[str, str], str]) -> Path:
-        lines = []
+        path = tmp_path / "programs.jsonl"
         for (role, query), code in programs.items():
+            messages = (Message(role="system", content=VOXPOSER.roles[role]), Message(role="user", content=query))
             request = CompletionRequest(
-                model="authored", max_tokens=MAX_TOKENS, prompt_version=VOXPOSER.version,
-                messages=(
-                    Message(role="system", content=VOXPOSER.system(role)), Message(role="user", content=query)
-                ),
-            )  # fmt: skip
-            said = Completion(text=code, model="authored").model_dump()
-            lines.append(
-                json.dumps({"key": request.sha256, "request": request.model_dump(mode="json"), "completion": said})
+                model="authored", max_tokens=MAX_TOKENS, prompt_version=VOXPOSER.version, messages=messages
             )
-        (tmp_path / "programs.jsonl").write_text("\n".join(lines))
-        return tmp_path / "programs.jsonl"
+            append_completion(path, request, Completion(text=code, model="authored"))
+        return path
 
     return write

@@ -36,7 +36,7 @@ HOSTILE = {
     "takes our object's insides": ("thing().hidden", "AttributeError"),
     "takes our object's dictionary": ("thing().__dict__", "AttributeError"),
     "takes attributes by name": ("getattr(thing(), 'hid' + 'den')", "AttributeError"),
-    "evaluates its way there": ("eval(\"thing().hid\" + \"den\")", "AttributeError"),
+    "evaluates its way there": ('eval("thing().hid" + "den")', "AttributeError"),
     "asks for 10 GB": ("x = [0] * (10 ** 10)", "MemoryError"),
     "asks for 10 GB of text": ("x = 'a' * (10 ** 10)", "MemoryError"),
     "asks for it bit by bit": ("x = []\nwhile True:\n    x.append('a' * 1000)", "MemoryError"),
@@ -47,13 +47,16 @@ HOSTILE = {
     "calls us wrongly": ("add(1)", r"TypeError: missing a required argument: 'b'; .* add\(a, b\) \(line 1: add"),
     "is no program": ("move the arm, please", "SyntaxError"),
     "fails": ("1 / 0", "ZeroDivisionError"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_program_is_stopped_and_a_benign_one_runs_after_it(sandbox: Sandbox, name: str) -> None:
-    code, told = HOSTILE[name]
-    with pytest.raises(ProgramError, match=rf"^program p was stopped: ({told})"):
+def test_a_hostile_program_is_stopped_and_a_benign_one_runs_after_it(
+    sandbox: Sandbox, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LIMITS", {**module.LIMITS, "max_feed_duration_secs": 0.5})
+    code, fault = HOSTILE[name]
+    with pytest.raises(ProgramError, match=rf"^program p was stopped: ({fault})"):
         sandbox.value("p", f"{code}\nret_val = 1", TABLE)
     assert sandbox.value("q", "ret_val = add(1, 2)", TABLE) == 3
     assert THING == Thing()
@@ -61,14 +64,10 @@ def test_a_hostile_program_is_stopped_and_a_benign_one_runs_after_it(sandbox: Sa
 
 def test_an_endless_loop_is_stopped(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LIMITS", {**module.LIMITS, "max_feed_duration_secs": 0.2})
-    began = time.monotonic()
     with pytest.raises(ProgramError, match="TimeoutError: time limit exceeded"):
         sandbox.value("p", "while True:\n    pass", {})
-    assert time.monotonic() - began < 2
-    began = time.monotonic()
     with pytest.raises(ProgramError, match="TimeoutError"):
         sandbox.value("p", "try:\n    while True:\n        pass\nexcept BaseException:\n    pass\nret_val = 1", {})
-    assert time.monotonic() - began < 2
 
 
 def test_programs_inside_programs_share_their_time(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,12 +78,9 @@ def test_programs_inside_programs_share_their_time(sandbox: Sandbox, monkeypatch
     assert sandbox.value("outer", "ret_val = inner()", table) == sum(range(20000))
     left = shared.left_s
     assert 0 < left < 1
-    began = time.monotonic()
+    endless = "try:\n    while True:\n        inner()\nexcept BaseException:\n    pass\nret_val = 1"
     with pytest.raises(ProgramError, match=r"program (inner|outer) was stopped: the programs of one step"):
-        sandbox.value(
-            "outer", "try:\n    while True:\n        inner()\nexcept BaseException:\n    pass\nret_val = 1", table
-        )
-    assert time.monotonic() - began < 5
+        sandbox.value("outer", endless, table)
     with pytest.raises(ProgramError, match=r"program q was stopped: the programs of one step took more than 1 s"):
         sandbox.value("q", "ret_val = 1", {})
     shared.start_over()
@@ -92,12 +88,12 @@ def test_programs_inside_programs_share_their_time(sandbox: Sandbox, monkeypatch
 
 
 def test_waiting_for_a_language_model_is_not_a_programs_time(sandbox: Sandbox, monkeypatch: pytest.MonkeyPatch) -> None:
-    shared = ProgramTime(1)
+    shared = ProgramTime(0.5)
     monkeypatch.setattr(sandbox, "time", shared)
 
     def ask() -> int:
         with shared.not_counted():
-            time.sleep(0.6)
+            time.sleep(0.3)
         return 1
 
     assert sandbox.value("p", "ret_val = ask() + ask()", {"ask": ask}) == 2
@@ -106,8 +102,8 @@ def test_waiting_for_a_language_model_is_not_a_programs_time(sandbox: Sandbox, m
 
 def test_waiting_and_chance_are_none(sandbox: Sandbox) -> None:
     code = "import random, time\nfrom datetime import datetime\ntime.sleep(1000)\n"
-    said = [sandbox.value("p", code + "ret_val = (random.random(), str(datetime.now()))", {}) for _ in range(2)]
-    assert said[0] == said[1]
+    values = [sandbox.value("p", code + "ret_val = (random.random(), str(datetime.now()))", {}) for _ in range(2)]
+    assert values[0] == values[1]
 
 
 def test_handles_come_back_as_what_they_are(sandbox: Sandbox) -> None:
@@ -140,22 +136,18 @@ def test_our_own_errors_pass_whatever_a_program_does(sandbox: Sandbox) -> None:
 
 def test_a_program_waits_at_a_call_while_others_run(sandbox: Sandbox) -> None:
     code = "a = 1\nexecute(a, speed=2)\nexecute(a + 1)\na = add(a, 1)"
-    program = sandbox.started("p", code, TABLE | {"execute": lambda *a, **k: None}, pause_at=("execute",))
-    assert program.pause is not None
-    assert (program.pause.args, program.pause.kwargs) == ((1,), {"speed": 2})
+    calls = sandbox.calls("p", code, TABLE | {"execute": lambda *a, **k: None}, pause_at=("execute",))
+    first = next(calls)
+    assert (first.args, first.kwargs) == ((1,), {"speed": 2})
     assert sandbox.value("q", "ret_val = 7", {}) == 7
-    program.resume()
-    assert program.pause is not None
-    assert program.pause.args == (2,)
-    program.resume()
-    assert program.pause is None
+    assert [call.args for call in calls] == [(2,)]
 
 
 def test_a_program_may_be_stopped_after_it_waited(sandbox: Sandbox) -> None:
-    program = sandbox.started("p", "go()\n1 / 0", {"go": lambda: None}, pause_at=("go",))
+    calls = sandbox.calls("p", "go()\n1 / 0", {"go": lambda: None}, pause_at=("go",))
+    next(calls)
     with pytest.raises(ProgramError, match=r"ZeroDivisionError.*\(line 2: 1 / 0\)"):
-        program.resume()
-    assert program.pause is None
+        next(calls)
 
 
 def test_a_very_long_program_is_not_run(sandbox: Sandbox) -> None:

@@ -1,17 +1,24 @@
-"""Makes a certificate, a tissue row and a figure from a file of trials."""
+"""Makes a certificate, a tissue row and a figure from a file of trials.
+
+The anchor law is fitted to replayed trials: bounded least squares, terms chosen by held-out error, intervals from
+resampled trials. It uses scipy's least_squares and not mujoco.sysid, which fits recorded sequences of controls and
+sensors with equal time stamps and needs further packages. Here, the residual is force over depth past touch, which both
+sides find by force; the rollout is a prescribed motion; and the intervals need the Jacobian afterwards.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from carecontact import __version__
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, counted
 from carecontact.human.body import Body
 from carecontact.human.library import load_body
 from carecontact.human.soft_region import tissue_of
@@ -30,7 +37,7 @@ from carecontact.lab.calibration.certificate import (
 )
 from carecontact.lab.calibration.checks import TrialFile, read_trials
 from carecontact.lab.calibration.curve import GRID, Curve, Identified, identify, make_curve
-from carecontact.lab.calibration.problem import FOLDS, POOLED, Agreement, Family, Problem, Solution, agreements, pooled
+from carecontact.lab.calibration.problem import FOLDS, Agreement, Family, Problem, Solution, agreements, pooled
 from carecontact.lab.calibration.replay import Group, Replay, Replayed, group_curves
 from carecontact.lab.calibration.trial import Array, Setup
 from carecontact.lab.calibration.verify import (
@@ -44,13 +51,6 @@ from carecontact.plotting import plain_figures
 from carecontact.protocol.person import Calibration, Tissue
 from carecontact.protocol.protocol import Protocol
 from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
-
-# Fits the anchor law to replayed trials: bounded least squares, terms chosen by held-out error, intervals from
-# resampled trials.
-#
-# It uses scipy's least_squares and not mujoco.sysid, which fits recorded sequences of controls and sensors with equal
-# time stamps and needs further packages. Here, the residual is force over depth past touch, which both sides find by
-# force; the rollout is a prescribed motion; and the intervals need the Jacobian afterwards.
 
 LAW = ("a_n_m3", "b_n_m4", "c_n_m5")
 DAMPING = ("damping_ns_m3", "damping_growth_ns_m4")
@@ -86,7 +86,6 @@ class Fit:
     """Laws fitted to resampled trials; None for a single trial."""
     secant_draws: Array | None
     """(draws, 2) relative change of the mean simulated secant stiffness and of the tangent over the deeper half"""
-    evaluations: int
 
 
 def fit_law(
@@ -97,42 +96,42 @@ def fit_law(
 ) -> Fit:
     """Fit stiffness and, if trials unload, damping, with those terms that lower the error on held-out trials.
 
-    If no trial unloads, or the trials do not determine the damping, damping keeps its ratio to stiffness, and the
-    result says why.
+    If the trials do not determine the damping, it keeps its ratio to stiffness, and the result says why.
     """
     problem = Problem(curves, replay, on_progress)
     unloads = any(curve.trial.unloads for curve in curves)
     reason = "fitted" if unloads else "no trial unloads"
     found, chosen = choose(problem, damping=unloads)
-    draws = _draws(problem, found)
-    if unloads and draws is None:
+    if unloads and len(curves) == 1:
         reason = "fitted to a single trial, which gives it no interval"
-    if unloads and draws is not None:
-        half = _half_width(draws[:, found.family.names.index("damping")])
+    elif unloads:
+        low, high = np.percentile(_draws(problem, found)[:, found.family.names.index("damping")], [2.5, 97.5])
+        half = float(np.expm1((high - low) / 2))
         if half > MIN_LOOP:
             unloads = False
             reason = f"its interval is +-{half:.0%}: the loops between loading and unloading are too thin"
             found, chosen = choose(problem, damping=False)
     found = problem.levelled(found)
-    draws = _draws(problem, found)
     replay.forget()
-    final = problem.at(found.family.tissue(found.p))
-    held = None
+    family, law = found.family, found.family.tissue(found.p)
+    final = problem.at(law)
+    held = draws = change = None
     if len(curves) > 1:
+        draws = _draws(problem, found)
+        change = problem.stiffness_change(found, draws)
         on_progress(f"held-out trials in {min(FOLDS, len(curves))} folds")
         held = problem.held_out(found)
     return Fit(
-        tissue=found.family.tissue(found.p),
-        terms=found.family.terms,
+        tissue=law,
+        terms=family.terms,
         chosen=chosen,
         damping_identified=unloads,
         damping_reason=reason,
         replayed=[one for one in final if one is not None],
         agreement=agreements(curves, replay.groups, final),
         held_out=held,
-        draws=None if draws is None else [found.family.tissue(q) for q in draws],
-        secant_draws=None if draws is None else problem.stiffness_change(found, draws),
-        evaluations=problem.evaluations,
+        draws=None if draws is None else [family.tissue(q) for q in draws],
+        secant_draws=change,
     )
 
 
@@ -158,24 +157,22 @@ def choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...
 def _next(problem: Problem, found: Solution, lines: list[str]) -> Solution | None:
     """Return the law with the first term that enters, or None where every term stays out; adds a line for each term."""
     now = problem.held_out_squares(found)
-    ahead = [problem.with_term(found, term) for term in found.family.candidates]
-    promised = {one.family.terms[-1]: problem.held_out_squares(one).mean() for one in ahead}
-    for seen in sorted(ahead, key=lambda one: promised[one.family.terms[-1]]):
-        term = seen.family.terms[-1]
+    ahead = {term: problem.with_term(found, term) for term in found.family.candidates}
+    promised = {term: problem.held_out_squares(one).mean() for term, one in ahead.items()}
+    for term in sorted(ahead, key=promised.__getitem__):
         by_speed = term == "growth" and problem.speeds_apart >= SPEEDS_APART
         if not by_speed and promised[term] > (1 - LEAST_GAIN) * now.mean():
             lines.append(f"{term} stays out: a step promises held-out NRMSE {np.sqrt(promised[term]):.2%}")
             continue
-        tried = problem.solve(seen.family, seen.step(np.ones(len(problem.curves))))
+        tried = problem.solve(ahead[term].family, ahead[term].step(np.ones(len(problem.curves))))
         of, squares = ("NRMSE", problem.held_out_squares)
         if by_speed:
             of, squares = ("error of the tangents per speed", problem.held_out_tangent_squares)
         before, after = squares(found), squares(tried)
         gain = before - after
         enters = gain.mean() > max(float(gain.std(ddof=1)) / np.sqrt(len(gain)), LEAST_GAIN * before.mean())
-        lines.append(
-            f"{term} {'enters' if enters else 'stays out'}: held-out {of} {_root(before):.2%} -> {_root(after):.2%}"
-        )
+        fate = "enters" if enters else "stays out"
+        lines.append(f"{term} {fate}: held-out {of} {_root(before):.2%} -> {_root(after):.2%}")
         problem.on_progress(lines[-1])
         if enters:
             return tried
@@ -187,23 +184,13 @@ def _root(squares: Array) -> float:
     return float(np.sqrt(max(squares.mean(), 0.0)))
 
 
-def _draws(problem: Problem, found: Solution) -> Array | None:
+def _draws(problem: Problem, found: Solution) -> Array:
     """Return the parameters (BOOTSTRAPS, n) for trials resampled with replacement, each by one Gauss-Newton step."""
     count = len(problem.curves)
-    if count == 1:
-        return None
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     weights = rng.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS).astype(float)
     return np.array([found.resampled(weight) for weight in weights])
 
-
-def _half_width(logs: Array) -> float:
-    """Return half the width of a parameter's interval as a share of its value, from logarithms of its draws."""
-    low, high = np.percentile(logs, [2.5, 97.5])
-    return float(np.expm1((high - low) / 2))
-
-
-# The content of a certificate: the values that a calibration found, with intervals, and notes for people.
 
 LEAST_DEPTH_M = 0.001
 """Least ``measured_depth_m`` that a protocol may have."""
@@ -221,11 +208,10 @@ def make_content(
         laws: the candidates that describe the measured response, best first.
         ratio: of ``published_ratio``.
     """
-    region = replay.region
     facts, groups = measured_facts(file, curves), replay.groups
-    gate = rules.limits.gamma * rules.f_pain(region)
-    counted = count_of(curves, facts["synthetic"])
-    source = f"carecontact calibrate on the kernel, {counted}, data sha256 {file.sha256[:12]}"
+    gate = rules.limits.gamma * rules.f_pain(replay.region)
+    trials = count_of(curves, facts["synthetic"])
+    source = f"carecontact calibrate on the kernel, {trials}, data sha256 {file.sha256[:12]}"
     # Scores count the deflection of the anchors and not the travel of the tool.
     reached = np.repeat([one.press.anchor_m.max() for one in fit.replayed], [len(g.members) for g in groups])
     # A row must name at least 1 mm: anchors go less deep only in a fit that is rejected, as of a saturated load cell.
@@ -236,7 +222,7 @@ def make_content(
         verdict="accepted",
         reasons=[],
         limits=LIMITS,
-        region=region,
+        region=replay.region,
         body=body,
         setup=setup,
         base_tissue_set=rules.person.tissue_set,
@@ -245,12 +231,7 @@ def make_content(
         terms=list(fit.chosen),
         damping=fit.damping_reason,
         stiffness=_stiffness_values(simulated_stiffness(groups, fit.replayed), fit),
-        identified=[
-            Model(
-                name=one.law.name, formula=one.law.formula, parameters=one.physical(), rms=one.rms, aicc=one.aicc,
-                left_out_rms=one.left_out_rms,
-            ) for one in laws
-        ],
+        identified=[_model(one) for one in laws],
         agreement=_agreement_values(fit.agreement),
         held_out=None if fit.held_out is None else _agreement_values(fit.held_out),
         speeds=speeds_of(curves, fit.held_out or fit.agreement),
@@ -262,23 +243,23 @@ def make_content(
         band=BAND,
         hashes={"data": file.sha256, **model_hashes(replay, body, tissue)},
         versions={
-            "carecontact": __version__, "mujoco": version("mujoco"), "protocol": rules.id,
+            "carecontact": __version__,
+            "mujoco": version("mujoco"),
+            "protocol": rules.id,
             "kernel": kernel_sha256(),
         },
-        notes=[
-            *file.notes,
-            *_notes_on_the_fit(fit, trials=len(curves)),
-            *hardly_identified(law),
-            *_notes_on_use(facts["measured_depth_mm"], facts["measured_force_n"], gate),
-            "thickness, mass, friction, coupling, membrane and contact layer are those of the protocol's row; they were"
-            " not calibrated",
-        ],
-    )  # fmt: skip
-    why = reasons(content)
-    verdict, held = ("rejected" if why else "accepted"), content.held_out
+        notes=[*file.notes, *_notes(fit, law, trials=len(curves), facts=facts, gate_n=gate)],
+    )
+    why, held = reasons(content), content.held_out
+    verdict = "rejected" if why else "accepted"
     errors = {} if held is None else {name: held[name].value for name in LIMITS}
     tissue = tissue.model_copy(update={"calibration": Calibration(verdict=verdict, reasons=tuple(why), **errors)})
     return content.model_copy(update={"verdict": verdict, "reasons": why, "tissue": tissue})
+
+
+def _model(one: Identified) -> Model:
+    fields = {name: getattr(one, name) for name in ("rms", "aicc", "left_out_rms")}
+    return Model(name=one.law.name, formula=one.law.formula, parameters=one.physical(), **fields)
 
 
 def speeds_of(curves: Sequence[Curve], rows: Sequence[Agreement]) -> list[Speed]:
@@ -294,7 +275,7 @@ def speeds_of(curves: Sequence[Curve], rows: Sequence[Agreement]) -> list[Speed]
 
 def count_of(curves: Sequence[Curve], synthetic: bool = False) -> str:
     """Return the number of trials in words, such as ``3 synthetic trials``."""
-    return f"{len(curves)} {'synthetic ' if synthetic else ''}trial{'s' * (len(curves) != 1)}"
+    return counted(len(curves), "synthetic trial" if synthetic else "trial")
 
 
 def hardly_identified(law: dict[str, Value]) -> list[str]:
@@ -311,20 +292,20 @@ def hardly_identified(law: dict[str, Value]) -> list[str]:
     return notes
 
 
-def _notes_on_the_fit(fit: Fit, *, trials: int) -> list[str]:
-    notes = []
+def _notes(fit: Fit, law: dict[str, Value], *, trials: int, facts: dict[str, Any], gate_n: float) -> Iterator[str]:
+    depth_mm, force_n = facts["measured_depth_mm"], facts["measured_force_n"]
     if trials == 1:
-        notes.append("the data are a single trial: no interval, also none of damping, and no held-out error; "
-                     "record at least five")  # fmt: skip
+        alone = "no interval, also none of damping, and no held-out error"
+        yield f"the data are a single trial: {alone}; record at least five"
     if not fit.damping_identified:
-        notes.append(f"damping is not identified ({fit.damping_reason}): the row keeps its ratio to stiffness")
-    return notes
-
-
-def _notes_on_use(depth_mm: float, force_n: float, gate_n: float) -> list[str]:
-    if gate_n <= force_n:
-        return []
-    return [f"beyond {depth_mm:.1f} mm or {force_n:.1f} N the row extrapolates; the safety gate is {gate_n:g} N"]
+        yield f"damping is not identified ({fit.damping_reason}): the row keeps its ratio to stiffness"
+    yield from hardly_identified(law)
+    if gate_n > force_n:
+        yield f"beyond {depth_mm:.1f} mm or {force_n:.1f} N the row extrapolates; the safety gate is {gate_n:g} N"
+    yield (
+        "thickness, mass, friction, coupling, membrane and contact layer are those of the protocol's row; they were"
+        " not calibrated"
+    )
 
 
 def _law_values(fit: Fit) -> dict[str, Value]:
@@ -353,13 +334,12 @@ def _stiffness_values(means: dict[str, float], fit: Fit) -> dict[str, Value]:
 def _agreement_values(rows: Sequence[Agreement]) -> dict[str, Value]:
     """Pool agreements over trials, with percentile intervals over resampled trials."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
-    whole = pooled(list(rows))
     draws = rng.integers(len(rows), size=(BOOTSTRAPS // 4, len(rows)))
     again = [pooled([rows[k] for k in draw]) for draw in draws] if len(rows) > 1 else []
     out = {}
-    for name in POOLED:
+    for name, whole in pooled(rows).items():
         values = np.array([v for one in again if (v := one[name]) is not None])
-        out[name] = Value(value=whole[name], ci95=_middle_95(values) if len(values) else None)
+        out[name] = Value(value=whole, ci95=_middle_95(values) if len(values) else None)
     return out
 
 
@@ -368,15 +348,12 @@ def _middle_95(draws: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-# The calibration figure: measured trials, identified response, calibrated simulation.
-
 GRAY, GOLD, BLUE = "0.7", "#c8960c", "#1f5fa8"
 
 
 @plain_figures()
 def write_figure(
     path: Path,
-    *,
     title: str,
     curves: Sequence[Curve],
     groups: Sequence[Group],
@@ -384,7 +361,8 @@ def write_figure(
     identified: Identified,
     extrapolated_mm: float,
 ) -> None:
-    """Force over indentation, one panel per speed; the deepest measured point is marked by a dotted line."""
+    """Draw measured trials, identified response and calibrated simulation: force over indentation, one panel per speed;
+    the deepest measured point is marked by a dotted line."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -393,32 +371,27 @@ def write_figure(
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(speeds), sharey=True, sharex=True, squeeze=False)[0]
     for speed, axes in zip(speeds, panels, strict=True):
-        for curve in curves:
-            if curve.trial.condition.speed_m_s == speed:
-                touched = curve.depth_m > -0.1 * curve.deepest_m
-                axes.plot(
-                    1000 * curve.depth_m[touched], curve.force_n[touched], color=GRAY, lw=1.8, alpha=0.8, zorder=1
-                )
         mine = [(g, one) for g, one in zip(groups, replayed, strict=True) if g.condition.speed_m_s == speed]
+        members = [curves[k] for group, _ in mine for k in group.members]
+        for curve in members:
+            touched = curve.depth_m > -0.1 * curve.deepest_m
+            depth = 1000 * curve.depth_m[touched]
+            axes.plot(depth, curve.force_n[touched], color=GRAY, lw=1.8, alpha=0.8, zorder=1)
         for group, one in mine:
-            depth = 1000 * GRID * group.deepest_m
-            axes.plot(depth, one.loading_n, color=BLUE, lw=0.9, zorder=2)
-            axes.plot(depth, one.unloading_n, color=BLUE, lw=0.9, zorder=2)
-        longest = max((curves[k] for g, _ in mine for k in g.members), key=lambda curve: curve.deepest_m)
+            for force in (one.loading_n, one.unloading_n):
+                axes.plot(1000 * GRID * group.deepest_m, force, color=BLUE, lw=0.9, zorder=2)
+        longest = max(members, key=lambda curve: curve.deepest_m)
         for at in (longest.loading_m_s, longest.unloading_m_s):
             axes.plot(1000 * longest.grid_m, identified.force_n(longest.grid_m, at), "--", color=GOLD, lw=1.2, zorder=3)
         axes.axvline(extrapolated_mm, color="0.3", lw=0.7, ls=":")
-        axes.set_title(f"{1000 * speed:g} mm/s, {sum(len(g.members) for g, _ in mine)} trials", fontsize=8)
+        axes.set_title(f"{1000 * speed:g} mm/s, {len(members)} trials", fontsize=8)
         axes.set_xlabel("indentation past touch [mm]", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("force [N]", fontsize=8)
-    for colour, style, label in (
-        (GRAY, "-", "trials"),
-        (GOLD, "--", f"identified: {identified.law.name}"),
-        (BLUE, "-", "calibrated simulation"),
-    ):
-        panels[0].plot([], [], style, color=colour, lw=1.8 if colour == GRAY else 1.1, label=label)
+    panels[0].plot([], [], color=GRAY, lw=1.8, label="trials")
+    panels[0].plot([], [], "--", color=GOLD, lw=1.1, label=f"identified: {identified.law.name}")
+    panels[0].plot([], [], color=BLUE, lw=1.1, label="calibrated simulation")
     panels[0].legend(frameon=False, fontsize=7, loc="upper left")
     figure.suptitle(title, fontsize=9)
     figure.savefig(path)
@@ -451,7 +424,8 @@ def calibrate(
     """
     person = load_body(body)
     prepared = [_prepared(trials, region, setup=setup, person=person, rules=rules) for region in regions]
-    certificates, written = list[Certificate](), list[Path]()
+    certificates: list[Certificate] = []
+    written: list[Path] = []
     for file, curves, replay, ratio in prepared:
         region = replay.region
         on_progress(f"{count_of(curves)} of the {region}")
@@ -460,17 +434,16 @@ def calibrate(
         fit = fit_law(curves, replay=replay, on_progress=on_progress)
         content = make_content(file, curves, laws, replay, fit, ratio=ratio, setup=setup, body=body, rules=rules)
         out.mkdir(parents=True, exist_ok=True)
-        paths = [out / (_of_region(name, region) if len(regions) > 1 else name) for name in (CERTIFICATE, FIGURE)]
+        suffix = f"-{region.replace('_', '-')}" if len(regions) > 1 else ""
+        paths = [out / f"{Path(name).stem}{suffix}{Path(name).suffix}" for name in (CERTIFICATE, FIGURE)]
         made = datetime.now(UTC).isoformat(timespec="seconds")
         certificates.append(write_certificate(paths[0], content, made=made))
-        title = f"{region}, {body}: {count_of(curves, content.synthetic)}{_held_out(content)}, {content.verdict}"
-        write_figure(
-            paths[1], title=title, curves=curves, groups=replay.groups, replayed=fit.replayed, identified=laws[0],
-            extrapolated_mm=content.measured_depth_mm,
-        )  # fmt: skip
+        nrmse = content.held_out["nrmse"].value if content.held_out else None
+        held = "" if nrmse is None else f", held-out NRMSE {nrmse:.1%}"
+        title = f"{region}, {body}: {count_of(curves, content.synthetic)}{held}, {content.verdict}"
+        write_figure(paths[1], title, curves, replay.groups, fit.replayed, laws[0], content.measured_depth_mm)
         written += paths
-    contents, digests = [one.content for one in certificates], [one.sha256 for one in certificates]
-    (out / ROW).write_text(tissue_set_toml(contents, digests=digests), encoding="utf-8")
+    (out / ROW).write_text(tissue_set_toml(certificates), encoding="utf-8")
     return CalibrationResult(certificates=tuple(certificates), written=(*written, out / ROW))
 
 
@@ -481,20 +454,6 @@ def _prepared(
     file = read_trials(trials, region=region, setup=setup)
     curves = [make_curve(trial) for trial in file.trials]
     row = tissue_of(person, region, rules.person.tissue[region])
-    _check_depths(curves, region, row)
-    groups = group_curves(curves)
-    replay = Replay(body=person, region=region, tissue=row, groups=groups)
-    ratio = published_ratio(replay, curves)
-    check_replayable(ratio, region)
-    return file, curves, replay, ratio
-
-
-def _of_region(name: str, region: str) -> str:
-    path = Path(name)
-    return f"{path.stem}-{region.replace('_', '-')}{path.suffix}"
-
-
-def _check_depths(curves: Sequence[Curve], region: str, row: Tissue) -> None:
     for curve in curves:
         if curve.deepest_m > row.thickness_m:
             raise ConfigError(
@@ -502,8 +461,7 @@ def _check_depths(curves: Sequence[Curve], region: str, row: Tissue) -> None:
                 f"{region}'s bone is only {1000 * row.thickness_m:g} mm thick: is indentation_mm in "
                 "millimetres and positive inward?"
             )
-
-
-def _held_out(content: Content) -> str:
-    nrmse = content.held_out["nrmse"].value if content.held_out else None
-    return "" if nrmse is None else f", held-out NRMSE {nrmse:.1%}"
+    replay = Replay(body=person, region=region, tissue=row, groups=group_curves(curves))
+    ratio = published_ratio(replay, curves)
+    check_replayable(ratio, region)
+    return file, curves, replay, ratio

@@ -15,8 +15,6 @@ from carecontact.errors import ConfigError, counted
 from carecontact.lab.calibration.trial import Setup
 from carecontact.protocol.person import Tissue
 
-# The certificate of a calibration: what was fitted, to what, how well, and with which model.
-
 VERSION = "carecontact-calibration-4"
 BAND = {"response_share_of_peak": 0.02, "error_change": 0.01}
 """``--verify`` fails where a replayed force differs by more than this share of its peak, or an error by this much."""
@@ -136,9 +134,7 @@ def write_certificate(path: Path, content: Content, *, made: str) -> Certificate
 
 
 def read_certificate(path: Path) -> Certificate:
-    """Read a certificate. Raises ConfigError if the file is missing, is no certificate or was changed after it was
-    written.
-    """
+    """Read a certificate. Raises ConfigError if the file is missing, is none or was changed after it was written."""
     try:
         certificate = Certificate.model_validate_json(path.read_bytes())
     except FileNotFoundError:
@@ -154,27 +150,27 @@ def read_certificate(path: Path) -> Certificate:
     return certificate
 
 
-def tissue_set_toml(contents: Sequence[Content], *, digests: Sequence[str]) -> str:
+def tissue_set_toml(certificates: Sequence[Certificate]) -> str:
     """Return the TOML text of a tissue set with the calibrated rows, which have every field of Tissue in order; all
-    other regions come from the base set. A set with a rejected row has ``rejected`` in its id, which titles name.
-    """
+    other regions come from the base set. A set with a rejected row has ``rejected`` in its id, which titles name."""
+    contents = [one.content for one in certificates]
     verdict = "rejected" if any(one.verdict == "rejected" for one in contents) else "calibrated"
     regions = "-".join(one.region.replace("_", "-") for one in contents)
-    said = "; ".join(
-        f"the {one.region.replace('_', ' ')} calibrated to {one.trials} {'synthetic ' if one.synthetic else ''}trials, "
-        f"{one.verdict}; certificate {digest[:12]}" for one, digest in zip(contents, digests, strict=True)
-    )  # fmt: skip
+    hashes = "-".join(one.sha256[:8] for one in certificates)
+    about = "; ".join(
+        f"the {one.content.region.replace('_', ' ')} calibrated to {one.content.trials} "
+        f"{'synthetic ' if one.content.synthetic else ''}trials, {one.content.verdict}; certificate {one.sha256[:12]}"
+        for one in certificates
+    )
     lines = [
-        f'id = "{verdict}-{regions}-{"-".join(digest[:8] for digest in digests)}"',
-        f"description = {json.dumps(said[0].upper() + said[1:] + '.')}",
+        f'id = "{verdict}-{regions}-{hashes}"',
+        f"description = {json.dumps(about[0].upper() + about[1:] + '.')}",
         f"base = {json.dumps(contents[0].base_tissue_set)}",
     ]
     for one in contents:
-        row = one.tissue.model_dump(mode="json", exclude_none=True)
-        row.pop("calibration", None)
+        row = one.tissue.model_dump(mode="json", exclude_none=True, exclude={"calibration"})
         calibration = {} if one.tissue.calibration is None else one.tissue.calibration.model_dump(mode="json")
-        lines += ["", f"[tissue.{one.region}]", *map(_toml, row.items())]
-        lines += ["", f"[tissue.{one.region}.calibration]"]
+        lines += ["", f"[tissue.{one.region}]", *map(_toml, row.items()), "", f"[tissue.{one.region}.calibration]"]
         lines += [_toml(item) if item[1] is not None else f"# {item[0]} is not known" for item in calibration.items()]
     return "\n".join(lines) + "\n"
 
@@ -184,8 +180,6 @@ def _toml(item: tuple[str, Any]) -> str:
     name, value = item
     return f"{name} = {repr(float(value)) if isinstance(value, int | float) else json.dumps(value)}"
 
-
-# Whether a calibration is good enough for runs: limits on held-out errors, and what its data cannot be right in.
 
 LIMITS = {"nrmse": 0.05, "tangent_error": 0.05, "work_error": 0.10}
 """Largest pooled errors on held-out trials that are accepted; tests/lab/calibration/test_proof.py holds the fit to the
@@ -210,36 +204,17 @@ def check_replayable(ratio: float, region: str) -> None:
         )
 
 
-def reasons(content: Content) -> list[str]:
-    """Return why the calibration is rejected, one sentence each, causes first; none if it is accepted."""
-    return [
-        *_implausible(content),
-        *_beyond_limits(content),
-        *(
-            f"the estimate of {name} is {value.value:.4g} and lies outside its own interval, {value.ci95[0]:.4g} to "
-            f"{value.ci95[1]:.4g}: the fit is not one that resampled trials would give"
-            for name, value in {**content.law, **content.stiffness}.items()
-            if value.value is not None and value.ci95 is not None and not _inside(value.value, value.ci95)
-        ),
-    ]
-
-
 def beyond(name: str, value: float | None) -> bool:
     """Return whether an error is beyond its limit; a value that was not computed is not."""
     return value is not None and name in LIMITS and not abs(value) <= LIMITS[name]
 
 
-def _beyond_limits(content: Content) -> Iterator[str]:
-    if content.held_out is None:
-        yield "a single trial leaves nothing to hold out, so that no error can be judged; record at least five presses"
-        return
-    for name, limit in LIMITS.items():
-        value = content.held_out[name].value
-        if beyond(name, value):
-            yield f"held-out {NAMES[name]} {value:{'.1%' if name == 'nrmse' else '+.1%'}}, limit {limit:.0%}"
+def reasons(content: Content) -> list[str]:
+    """Return why the calibration is rejected, one sentence each, causes first; none if it is accepted."""
+    return list(_reasons(content))
 
 
-def _implausible(content: Content) -> Iterator[str]:
+def _reasons(content: Content) -> Iterator[str]:
     if content.plateaus:
         first, depth_mm = next(iter(content.plateaus.items()))
         yield (
@@ -253,14 +228,25 @@ def _implausible(content: Content) -> Iterator[str]:
             f"stiffness far from published tissue: {_of_published(content.published_ratio, content.region)}; is the "
             "force in newtons, and not in grams, volts or millinewtons?"
         )
+    if content.held_out is None:
+        yield "a single trial leaves nothing to hold out, so that no error can be judged; record at least five presses"
+    for name, stated in (content.held_out or {}).items():
+        value = stated.value
+        if beyond(name, value):
+            limit = LIMITS[name]
+            yield f"held-out {NAMES[name]} {value:{'.1%' if name == 'nrmse' else '+.1%'}}, limit {limit:.0%}"
+    for name, stated in {**content.law, **content.stiffness}.items():
+        if stated.value is None or stated.ci95 is None:
+            continue
+        low, high = stated.ci95
+        slack = ROUNDING * max(abs(low), abs(high))
+        if not low - slack <= stated.value <= high + slack:
+            yield (
+                f"the estimate of {name} is {stated.value:.4g} and lies outside its own interval, {low:.4g} to "
+                f"{high:.4g}: the fit is not one that resampled trials would give"
+            )
 
 
 def _of_published(ratio: float, region: str) -> str:
     name, times = region.replace("_", " "), f"{float(f'{ratio:.2g}'):g}"
     return f"the measured forces are {times} times those of a published {name} under the same presses"
-
-
-def _inside(value: float, interval: tuple[float, float]) -> bool:
-    low, high = interval
-    slack = ROUNDING * max(abs(low), abs(high))
-    return low - slack <= value <= high + slack

@@ -1,4 +1,5 @@
-"""Force over depth from a trial's samples, and the simple law that describes it best."""
+"""Force over depth from a trial's samples, without the baseline and with depth zero at touch, and the simple law that
+describes it best."""
 
 from __future__ import annotations
 
@@ -10,8 +11,6 @@ import numpy.typing as npt
 
 from carecontact.errors import ConfigError
 from carecontact.lab.calibration.trial import Array, Trial
-
-# Makes force over depth from a trial's samples: without the baseline, with depth zero at touch, on a grid of depths.
 
 GRID = np.linspace(0.025, 1.0, 40)
 """Depths at which forces are compared, as shares of a trial's deepest point."""
@@ -33,8 +32,7 @@ CONSTANT_SHARE = 0.05
 @dataclass(frozen=True, kw_only=True)
 class Curve:
     """One trial with its depth counted from touch. Its simulations count from the same force, so that measurement and
-    simulation share the bias of this rule.
-    """
+    simulation share the bias of this rule."""
 
     trial: Trial
     touch_force_n: float
@@ -96,25 +94,31 @@ def make_curve(trial: Trial) -> Curve:
     zero = _crossing(depth, f, touch_force)
     deepest = float(depth.max() - zero)
     grid = GRID * deepest
-    unloading = np.full(len(GRID), np.nan)
+    path_s, path = _smooth_path(trial, zero)
+    path_speed = np.gradient(path, path_s)
+    turn = int(path.argmax())
+    inward, outward = path_s <= max(float(time[load][-1]), path_s[turn]), path_s >= path_s[turn]
+    unloading, unloading_speed = np.full((2, len(GRID)), np.nan)
     if trial.unloads:
         back = trial.indentation_m[unload] - zero
         unloading = _on_grid(back, force[unload], grid)
         unloading[grid < back.min() - 0.02 * deepest] = np.nan
-    path_s, path = _smooth_path(trial, zero)
-    path_speed = np.gradient(path, path_s)
-    turn = int(path.argmax())
-    last_loaded = float(time[load][-1])
-    inward, outward = path_s <= max(last_loaded, path_s[turn]), path_s >= path_s[turn]
-    unloading_speed = np.full(len(GRID), np.nan)
-    if trial.unloads:
         unloading_speed = np.interp(grid, path[outward][::-1], path_speed[outward][::-1])
     return Curve(
-        trial=trial, touch_force_n=touch_force, noise_n=noise, drift_n_s=drift, depth_m=trial.indentation_m - zero,
-        force_n=force, deepest_m=deepest, loading_n=_on_grid(depth - zero, f, grid), unloading_n=unloading,
-        path_s=path_s, path_m=path, loading_m_s=np.interp(grid, path[inward], path_speed[inward]),
+        trial=trial,
+        touch_force_n=touch_force,
+        noise_n=noise,
+        drift_n_s=drift,
+        depth_m=trial.indentation_m - zero,
+        force_n=force,
+        deepest_m=deepest,
+        loading_n=_on_grid(depth - zero, f, grid),
+        unloading_n=unloading,
+        path_s=path_s,
+        path_m=path,
+        loading_m_s=np.interp(grid, path[inward], path_speed[inward]),
         unloading_m_s=np.where(np.isfinite(unloading), unloading_speed, np.nan),
-    )  # fmt: skip
+    )
 
 
 def plateau_m(curve: Curve) -> float | None:
@@ -141,8 +145,7 @@ def plateau_m(curve: Curve) -> float | None:
 
 def despiked(force: Array) -> Array:
     """Replace spikes of one or two samples, which differ from the median of five by more than a tenth of the range, by
-    that median.
-    """
+    that median."""
     out = force.copy()
     middle = np.median(np.lib.stride_tricks.sliding_window_view(force, 5), axis=1)
     low, high = np.percentile(force, [2, 98])
@@ -151,9 +154,7 @@ def despiked(force: Array) -> Array:
 
 
 def _smooth_path(trial: Trial, zero: float) -> tuple[Array, Array]:
-    """Return evenly spaced times and the depth past touch, smoothed over a twelfth of the loading: the path of
-    replays.
-    """
+    """Return the path of replays: even times, and the depth past touch, smoothed over a twelfth of the loading."""
     from scipy.signal import savgol_filter
 
     loading_s = float(np.ptp(trial.time_s[trial.phase == 0]))
@@ -166,8 +167,7 @@ def _smooth_path(trial: Trial, zero: float) -> tuple[Array, Array]:
 
 def _free_samples(trial: Trial) -> npt.NDArray[np.bool_]:
     """Return which samples are out of contact: those before the corner of a hinge fitted to the beginning of the
-    loading, and those after release at the same depth.
-    """
+    loading, and those after release at the same depth."""
     load = np.flatnonzero(trial.phase == 0)
     time, depth, force = trial.time_s[load], trial.indentation_m[load], despiked(trial.force_n)[load]
     start = float(np.median(force[: max(3, len(force) // 50)]))
@@ -222,13 +222,12 @@ def _on_grid(depth: Array, force: Array, grid: Array) -> Array:
     mean_depth = np.bincount(index[inside], depth[inside], minlength=len(grid))
     order = np.argsort(depth)
     filled = count >= 3
-    knots = np.r_[mean_depth[filled] / count[filled], depth[order][~filled[np.clip(index[order], 0, len(grid) - 1)]]]
-    values = np.r_[mean_force[filled] / count[filled], force[order][~filled[np.clip(index[order], 0, len(grid) - 1)]]]
+    sparse = order[~filled[np.clip(index[order], 0, len(grid) - 1)]]
+    knots = np.r_[mean_depth[filled] / count[filled], depth[sparse]]
+    values = np.r_[mean_force[filled] / count[filled], force[sparse]]
     order = np.argsort(knots)
     return np.interp(grid, knots[order], values[order])
 
-
-# Finds the simple law that describes the measured response best: four candidates, AICc and leave-one-trial-out errors.
 
 MAX_FOLDS = 20
 """Up to this number, trials are left out one by one; more trials are left out in this number of groups."""
@@ -240,26 +239,29 @@ class Law:
 
     name: str
     formula: str
-    names: tuple[str, ...]
     start: tuple[float, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
     force: Callable[[Array, Array, Array], Array]
 
 
-def _hunt_crossley(p: Array, u: Array, v: Array) -> Array:
-    return p[0] * u ** p[1] * (1 + p[2] * v)
-
-
 LAWS = (
-    Law(name="linear", formula="k d", names=("k",), start=(1.0,), low=(0.0,), high=(10.0,),
-        force=lambda p, u, v: p[0] * u),
-    Law(name="quadratic", formula="k1 d + k2 d^2", names=("k1", "k2"), start=(0.5, 0.5), low=(0.0, -5.0),
-        high=(10.0, 10.0), force=lambda p, u, v: p[0] * u + p[1] * u**2),
-    Law(name="exponential", formula="A (exp(d / delta) - 1)", names=("A", "delta"), start=(0.5, 1.0), low=(1e-4, 0.1),
-        high=(100.0, 100.0), force=lambda p, u, v: p[0] * np.expm1(u / p[1])),
-    Law(name="hunt-crossley", formula="k d^n (1 + beta v)", names=("k", "n", "beta"), start=(1.0, 1.3, 0.0),
-        low=(0.0, 0.5, 0.0), high=(10.0, 4.0, 100.0), force=_hunt_crossley),
+    Law(
+        name="linear", formula="k d", start=(1.0,), low=(0.0,), high=(10.0,),
+        force=lambda p, u, v: p[0] * u,
+    ),
+    Law(
+        name="quadratic", formula="k1 d + k2 d^2", start=(0.5, 0.5), low=(0.0, -5.0), high=(10.0, 10.0),
+        force=lambda p, u, v: p[0] * u + p[1] * u**2,
+    ),
+    Law(
+        name="exponential", formula="A (exp(d / delta) - 1)", start=(0.5, 1.0), low=(1e-4, 0.1), high=(100.0, 100.0),
+        force=lambda p, u, v: p[0] * np.expm1(u / p[1]),
+    ),
+    Law(
+        name="hunt-crossley", formula="k d^n (1 + beta v)", start=(1.0, 1.3, 0.0), low=(0.0, 0.5, 0.0),
+        high=(10.0, 4.0, 100.0), force=lambda p, u, v: p[0] * u ** p[1] * (1 + p[2] * v),
+    ),
 )  # fmt: skip
 
 
@@ -328,27 +330,17 @@ def identify(curves: Sequence[Curve]) -> tuple[Identified, ...]:
                 p = _fit(law, u[kept], v[kept], f[kept], w[kept], parameters)
                 errors[gone] = w[gone] * (_force(law, p, u[gone], v[gone]) - f[gone])
             left = float(np.sqrt(np.mean(errors**2)))
-        out.append(
-            Identified(
-                law=law,
-                parameters=parameters,
-                depth_scale_m=depth_scale,
-                force_scale_n=force_scale,
-                speed_scale_m_s=speed_scale,
-                rms=float(np.sqrt(np.mean(residual**2))),
-                aicc=float(aicc),
-                left_out_rms=left,
-            )
-        )
+        scales = {"depth_scale_m": depth_scale, "force_scale_n": force_scale, "speed_scale_m_s": speed_scale}
+        rms = float(np.sqrt(np.mean(residual**2)))
+        out.append(Identified(law=law, parameters=parameters, rms=rms, aicc=float(aicc), left_out_rms=left, **scales))
     return tuple(sorted(out, key=lambda one: one.aicc))
 
 
 def _rows(curve: Curve) -> Array:
     """Return (n, 4) depth, force, speed and 1 / peak at every other grid point, loading and unloading."""
-    legs = [np.stack([curve.grid_m, curve.loading_n, curve.loading_m_s], 1)]
-    fine = np.isfinite(curve.unloading_n)
-    legs.append(np.stack([curve.grid_m, curve.unloading_n, curve.unloading_m_s], 1)[fine])
-    rows = np.concatenate([leg[1::2] for leg in legs])
+    legs = [(curve.loading_n, curve.loading_m_s), (curve.unloading_n, curve.unloading_m_s)]
+    stacked = [np.stack([curve.grid_m, force, speed], 1)[np.isfinite(force)] for force, speed in legs]
+    rows = np.concatenate([leg[1::2] for leg in stacked])
     return np.c_[rows, np.full(len(rows), 1 / curve.peak_n)]
 
 

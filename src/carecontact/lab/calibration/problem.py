@@ -15,32 +15,36 @@ from carecontact.lab.calibration.replay import REACH, Group, Replay, Replayed, o
 from carecontact.lab.calibration.trial import Array
 from carecontact.protocol.person import LARGEST_CONTACT, Tissue
 
-# The laws that calibration chooses among: which terms a law has, and its numbers as parameters of a fit.
-#
-# Every law has a level, the anchor's pressure at the typical depth. If damping is fitted, it also has the damping at
-# half of that depth. A *term* adds one parameter to it:
-#
-# - ``bend`` k: the tangent a + 2 b x + 3 c x^2 follows (1 - k x / depth)^2, ``ROUND`` of it, so that it never reaches
-#   zero. Where k is above zero, b is below it. Where it is below zero, b is a (exp(-k) - 1) ``ROUND`` / depth, and c
-#   is 0;
-# - ``rise`` q: the tangent grows by a (exp(q) - 1) times the square of the depth, which is c;
-# - ``growth``: the share of the damping at half depth that grows with indentation, as in Hunt and Crossley's contact.
-#
-# Every choice of parameters within the bounds is a convex law, so that a fit never meets one that ``Tissue`` refuses.
-
 TERMS = ("bend", "rise", "growth")
 ROUND = 0.9
 """The tangent of a bent law never falls below its value at first touch times 1 minus this share."""
-_LOW = {"level": np.log(1e-3), "damping": np.log(1.0), "bend": -4.0, "rise": 0.0, "growth": 0.0}
-_HIGH = {"level": np.log(1e3), "damping": np.log(1e9), "bend": 3.0, "rise": 5.0, "growth": 0.95}
-_SCALE = {"level": 0.3, "damping": 1.0, "bend": 0.3, "rise": 0.5, "growth": 0.5}
+_BOUNDS = {
+    "level": (np.log(1e-3), np.log(1e3), 0.3),
+    "damping": (np.log(1.0), np.log(1e9), 1.0),
+    "bend": (-4.0, 3.0, 0.3),
+    "rise": (0.0, 5.0, 0.5),
+    "growth": (0.0, 0.95, 0.5),
+}
+"""Parameter -> least value, largest value, and scale."""
 STEP = {"level": 0.03, "damping": 0.1, "bend": 0.05, "rise": 0.1, "growth": 0.1}
 """Steps of the parameters for finite differences."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Family:
-    """Laws with the same terms, on one mesh."""
+    """Laws with the same terms, on one mesh.
+
+    Every law has a level, the anchor's pressure at the typical depth. If damping is fitted, it also has the damping at
+    half of that depth. A *term* adds one parameter to it:
+
+    - ``bend`` k: the tangent a + 2 b x + 3 c x^2 follows (1 - k x / depth)^2, ``ROUND`` of it, so that it never reaches
+      zero. Where k is above zero, b is below it. Where it is below zero, b is a (exp(-k) - 1) ``ROUND`` / depth, and c
+      is 0;
+    - ``rise`` q: the tangent grows by a (exp(q) - 1) times the square of the depth, which is c;
+    - ``growth``: the share of the damping at half depth that grows with indentation, as in Hunt and Crossley's contact.
+
+    Every choice of parameters within the bounds is a convex law, so that a fit never meets one that ``Tissue`` refuses.
+    """
 
     base: Tissue
     """Gives all fields besides the law and, if damping is not fitted, the ratio of damping to stiffness."""
@@ -56,25 +60,22 @@ class Family:
 
     @property
     def low(self) -> Array:
-        return np.array([_LOW[name] for name in self.names])
+        return np.array([_BOUNDS[name][0] for name in self.names])
 
     @property
     def high(self) -> Array:
-        return np.array([_HIGH[name] for name in self.names])
+        return np.array([_BOUNDS[name][1] for name in self.names])
 
     @property
     def scale(self) -> Array:
-        return np.array([_SCALE[name] for name in self.names])
+        return np.array([_BOUNDS[name][2] for name in self.names])
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Terms that may still be added to a law of this family."""
         return tuple(t for t in TERMS if t not in self.terms and (t != "growth" or self.damping))
 
     def plus(self, term: str) -> Family:
-        """Return the family with one more term, whose parameter comes last. At the value 0, the law is the one without
-        it.
-        """
+        """Return the family with one more term, whose parameter comes last; at 0, the law is the one without it."""
         return replace(self, terms=(*self.terms, term))
 
     def tissue(self, p: Array) -> Tissue:
@@ -93,10 +94,8 @@ class Family:
         else:
             ratio = level / _pressure(self.base, self.depth_m)
             damping, grows = ratio * self.base.damping_ns_m3, ratio * self.base.damping_growth_ns_m4
-        law = {
-            "a_n_m3": a, "b_n_m4": -a * slope / self.depth_m, "c_n_m5": a * square / 3 / self.depth_m**2,
-            "damping_ns_m3": damping, "damping_growth_ns_m4": grows,
-        }  # fmt: skip
+        law = {"a_n_m3": a, "b_n_m4": -a * slope / self.depth_m, "c_n_m5": a * square / 3 / self.depth_m**2}
+        law |= {"damping_ns_m3": damping, "damping_growth_ns_m4": grows}
         return self.base.model_copy(update={name: float(value) + 0.0 for name, value in law.items()})
 
     def start(self, scale: float) -> Array:
@@ -108,8 +107,6 @@ class Family:
 def _pressure(tissue: Tissue, depth: float) -> float:
     return tissue.a_n_m3 * depth + tissue.b_n_m4 * depth**2 + tissue.c_n_m5 * depth**3
 
-
-# How well a simulated press agrees with a measured one, in force, stiffness and lost work.
 
 UPPER = 0.5
 """Tangent stiffness is the slope over the depths from this share of the deepest point on."""
@@ -137,9 +134,7 @@ POOLED = ("nrmse", "r2", "peak_error", "tangent_error", "work_error")
 
 
 def agreement(depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]) -> Agreement:
-    """Compare forces at depths (n,) [m]. ``measured``, ``simulated``: loading and unloading forces (n,) [N], nan where
-    there are none.
-    """
+    """Compare loading and unloading forces (n,) [N], nan where there are none, at depths (n,) [m]."""
     both = np.isfinite(measured[0]) & np.isfinite(simulated[0])
     d, m, s = depth[both], measured[0][both], simulated[0][both]
     back = np.isfinite(measured[1]) & np.isfinite(simulated[1])
@@ -164,10 +159,8 @@ def tangent(depth: Array, force: Array) -> float:
 def lost_work(
     depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]
 ) -> tuple[float, float] | None:
-    """Return the work [J] that both loops enclose at depths where both have both ways; None if these are too few.
-
-    See LEAST_LOSS.
-    """
+    """Return the work [J], at least LEAST_LOSS, that both loops enclose at depths where both have both ways; None if
+    these are too few."""
     loops = measured[0] - measured[1], simulated[0] - simulated[1]
     both = np.isfinite(loops[0]) & np.isfinite(loops[1])
     if both.sum() <= 3:
@@ -184,17 +177,12 @@ def work_error(lost: list[tuple[float, float] | None]) -> float | None:
 
 def pooled(rows: Sequence[Agreement]) -> dict[str, float | None]:
     """Pool the agreement of trials: the root mean square of ``nrmse``, the error of all lost work, the means of all
-    other values.
-    """
+    other values."""
     values = {name: np.array([getattr(row, name) for row in rows]) for name in POOLED[:-1]}
     means: dict[str, float | None] = {name: float(one.mean()) for name, one in values.items()}
-    return means | {
-        "nrmse": float(np.sqrt(np.mean(values["nrmse"] ** 2))), "work_error": work_error([one.work_j for one in rows]),
-    }  # fmt: skip
+    nrmse = float(np.sqrt(np.mean(values["nrmse"] ** 2)))
+    return {**means, "nrmse": nrmse, "work_error": work_error([one.work_j for one in rows])}
 
-
-# The least-squares problem of a calibration: the residuals of replayed trials, the solution, and the change of the
-# solution by one Gauss-Newton step for other weights or fewer trials.
 
 FOLDS = 5
 LEVELLINGS = 2
@@ -224,8 +212,7 @@ class Solution:
 
     def resampled(self, weight: Array) -> Array:
         """Return ``step`` minus the step of all trials with equal weight: the optimum is known only to a tolerance, and
-        the remaining step to it is no effect of the resampling.
-        """
+        the remaining step to it is no effect of the resampling."""
         rest = self.step(np.ones(len(self.rows))) - self.p
         return moved_back(self.step(weight), rest, self.family.low, self.family.high)
 
@@ -252,27 +239,29 @@ class Problem:
         scale = 1.0
         for _ in range(2):
             replayed = self.at(family.tissue(family.start(scale)))
-            pairs = [
-                (np.nansum(on_trial(one, g, self.curves[k])[0] * self.curves[k].loading_n),
-                 np.nansum(on_trial(one, g, self.curves[k])[0] ** 2))
-                for g, one in zip(self.replay.groups, replayed, strict=True) if one is not None for k in g.members
-            ]  # fmt: skip
-            scale *= float(np.median([mixed / own for mixed, own in pairs]))
+            ratios = []
+            for curve, (load, _) in zip(self.curves, self._legs(replayed), strict=True):
+                ratios.append(np.nansum(load * curve.loading_n) / np.nansum(load**2))
+            scale *= float(np.median(ratios))
         return family.start(scale)
+
+    def _legs(self, replayed: Sequence[Replayed | None]) -> list[tuple[Array, Array]]:
+        """Return the simulated loading and unloading forces of every trial, all of which were replayed."""
+        groups = self.replay.groups
+        return [
+            on_trial(one, groups[n], self.curves[k])
+            for k, n in sorted(self.owner.items())
+            if (one := replayed[n]) is not None
+        ]
 
     def residuals(self, tissue: Tissue) -> tuple[Array, tuple[slice, ...]]:
         """Return the differences of force divided by the measured peak, and the rows of each trial; all trials weigh
-        the same.
-        """
-        return self._differences(self.at(tissue))
+        the same."""
+        return self._differences(self._legs(self.at(tissue)))
 
-    def _differences(self, replayed: Sequence[Replayed | None]) -> tuple[Array, tuple[slice, ...]]:
+    def _differences(self, legs: Sequence[tuple[Array, Array]]) -> tuple[Array, tuple[slice, ...]]:
         parts = []
-        for index, curve in enumerate(self.curves):
-            number = self.owner[index]
-            one = replayed[number]
-            assert one is not None
-            load, back = on_trial(one, self.replay.groups[number], curve)
+        for curve, (load, back) in zip(self.curves, legs, strict=True):
             part = np.r_[load - curve.loading_n, back - curve.unloading_n] / curve.peak_n
             fine = np.isfinite(part)
             parts.append(part[fine] / np.sqrt(fine.sum()))
@@ -285,21 +274,22 @@ class Problem:
         rows: tuple[slice, ...] = ()
         last, last_at = np.zeros(0), np.zeros(0)
 
-        def told(p: Array) -> Array:
+        def residual(p: Array) -> Array:
             nonlocal rows, last, last_at
             last, rows = self.residuals(family.tissue(p))
             last_at = p.copy()
             self.on_progress(f"evaluation {self.evaluations}: NRMSE {np.sqrt(last @ last / len(rows)):.2%}")
             return last
 
-        def differences(p: Array) -> Array:
-            base = last if np.array_equal(p, last_at) else told(p)
-            return np.stack([self.difference(family, p, base, k) for k in range(len(p))], 1)
+        def jacobian(p: Array) -> Array:
+            return self.jacobian(family, p, last if np.array_equal(p, last_at) else residual(p))
 
+        bounds = (family.low, family.high)
+        tolerances = {"ftol": 3e-3, "xtol": 2e-3, "max_nfev": EVALUATIONS}
         found = least_squares(
-            told, np.clip(start, family.low, family.high), jac=differences,  # pyright: ignore[reportArgumentType]
-            bounds=(family.low, family.high), x_scale=family.scale, ftol=3e-3, xtol=2e-3, max_nfev=EVALUATIONS,
-            method="dogbox",
+            residual, np.clip(start, *bounds), jac=jacobian,  # pyright: ignore[reportArgumentType]
+            bounds=bounds, x_scale=family.scale, method="dogbox",
+            **tolerances,
         )  # fmt: skip
         return Solution(family=family, p=found.x, residual=found.fun, jacobian=found.jac, rows=rows)
 
@@ -331,22 +321,19 @@ class Problem:
                 p[family.names.index("damping")] -= (work + works[0] * step) / works[1]
             p = np.clip(p, family.low, family.high)
         residual, rows = self.residuals(family.tissue(p))
-        jacobian = np.stack([self.difference(family, p, residual, k) for k in range(len(p))], 1)
-        return Solution(family=family, p=p, residual=residual, jacobian=jacobian, rows=rows)
+        return Solution(family=family, p=p, residual=residual, jacobian=self.jacobian(family, p, residual), rows=rows)
 
     def errors(self, tissue: Tissue) -> tuple[Array, float]:
         """Return the residuals together with both errors of stiffness of every trial, and the relative error of the
-        work that all trials lose.
-        """
-        replayed = self.at(tissue)
-        legs = [on_trial(one, self.replay.groups[n], self.curves[k])
-                for k, n in sorted(self.owner.items()) if (one := replayed[n]) is not None]  # fmt: skip
-        stiffness = [stiffness_errors(curve, *both) for curve, both in zip(self.curves, legs, strict=True)]
-        lost = [
-            lost_work(curve.grid_m, (curve.loading_n, curve.unloading_n), both)
-            for curve, both in zip(self.curves, legs, strict=True)
-        ]
-        return np.r_[self._differences(replayed)[0], np.ravel(stiffness)], work_error(lost) or 0.0
+        work that all trials lose."""
+        legs = self._legs(self.at(tissue))
+        pairs = list(zip(self.curves, legs, strict=True))
+        stiffness = [stiffness_errors(curve, *both) for curve, both in pairs]
+        lost = [lost_work(curve.grid_m, (curve.loading_n, curve.unloading_n), both) for curve, both in pairs]
+        return np.r_[self._differences(legs)[0], np.ravel(stiffness)], work_error(lost) or 0.0
+
+    def jacobian(self, family: Family, p: Array, residual: Array) -> Array:
+        return np.stack([self.difference(family, p, residual, k) for k in range(len(p))], 1)
 
     def difference(self, family: Family, p: Array, residual: Array, column: int) -> Array:
         """Return one column of the Jacobian, by a finite difference that stays within the bounds."""
@@ -355,14 +342,10 @@ class Problem:
         return (self.residuals(family.tissue(p + by))[0] - residual) / by[column]
 
     def with_term(self, found: Solution, term: str) -> Solution:
-        """Return the same law in the family with one more term, whose parameter is 0; it is not yet that family's
-        optimum.
-        """
+        """Return the same law in the family with one more term, whose parameter is 0, which is not its optimum."""
         family, p = found.family.plus(term), np.r_[found.p, 0.0]
         column = self.difference(family, p, found.residual, len(found.p))
-        return Solution(
-            family=family, p=p, residual=found.residual, jacobian=np.c_[found.jacobian, column], rows=found.rows
-        )
+        return replace(found, family=family, p=p, jacobian=np.c_[found.jacobian, column])
 
     def folds(self) -> Array:
         """Return the number of each trial's fold (trials,); trials that share a replay are spread over the folds."""
@@ -373,8 +356,7 @@ class Problem:
 
     def held_out_squares(self, found: Solution) -> Array:
         """Return the squared error (trials,) of each trial under the law of the other folds, one Gauss-Newton step
-        away; the Jacobian gives it without another simulation.
-        """
+        away; the Jacobian gives it without another simulation."""
         folds, out = self.folds(), np.zeros(len(self.curves))
         for fold in np.unique(folds):
             gone = folds == fold
@@ -383,7 +365,6 @@ class Problem:
 
     @property
     def speeds_apart(self) -> float:
-        """The fastest nominal speed over the slowest."""
         speeds = [curve.trial.condition.speed_m_s for curve in self.curves]
         return max(speeds) / min(speeds)
 
@@ -407,17 +388,16 @@ class Problem:
 
     def held_out(self, found: Solution) -> list[Agreement]:
         """Return the agreement of every trial with the law of the other folds, one Gauss-Newton step away; each press
-        is simulated again.
-        """
+        is simulated again."""
         folds = self.folds()
         out: dict[int, Agreement] = {}
         for fold in np.unique(folds):
-            gone = [int(k) for k in np.flatnonzero(folds == fold)]
+            gone = set(np.flatnonzero(folds == fold).tolist())
             law = found.family.tissue(found.resampled((folds != fold).astype(float)))
             replayed = self.at(law, only=sorted({self.owner[k] for k in gone}))
             seen = [k for k in range(len(self.curves)) if replayed[self.owner[k]] is not None]
-            rows = agreements(self.curves, self.replay.groups, replayed)
-            out |= {k: rows[n] for n, k in enumerate(seen) if k in gone}
+            rows = zip(seen, agreements(self.curves, self.replay.groups, replayed), strict=True)
+            out |= {k: row for k, row in rows if k in gone}
         return [out[k] for k in range(len(self.curves))]
 
     def stiffness_change(self, found: Solution, draws: Array) -> Array:
@@ -450,8 +430,7 @@ def stiffness_errors(curve: Curve, load: Array, back: Array) -> Array:
 
 def step_within(p: Array, normal: Array, gradient: Array, low: Array, high: Array) -> Array:
     """Return the parameters after one Newton step; a parameter that would leave its bounds stops there, and the others
-    are solved for again.
-    """
+    are solved for again."""
     out, free = p.copy(), np.ones(len(p), bool)
     for _ in range(len(p)):
         fixed = out - p

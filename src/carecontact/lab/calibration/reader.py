@@ -12,18 +12,21 @@ import hashlib
 import io
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from typing import Protocol as TypingProtocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import ConfigError
 from carecontact.lab.calibration.trial import Array
+
+if TYPE_CHECKING:
+    from _csv import Reader
 
 GRAVITY = 9.80665
 """Standard gravity [m/s^2], which defines gram-force and pound-force."""
@@ -42,24 +45,30 @@ UNITS: dict[str, dict[str, float]] = {
 ELECTRIC = ("v", "mv", "mv/v", "volt", "volts", "a", "ma", "counts", "count", "adc", "digits", "%", "raw")
 """Units that say what an amplifier gave, and not a force or a depth."""
 NUMBERS = {
-    "t_s": ("time", ("t", "time", "elapsed time", "test time", "timestamp", "zeit", "temps")),
-    "indentation_mm": ("length", (
-        "indentation", "indentation depth", "depth", "displacement", "disp", "travel", "extension", "stroke",
-        "position", "weg", "eindringtiefe", "deplacement",
-    )),
-    "force_N": ("force", ("force", "load", "f", "fz", "normal force", "kraft", "normalkraft")),
-    "speed_mm_s": ("speed", ("speed", "velocity", "geschwindigkeit")),
-    "indenter_size_mm": ("length", ("indenter size", "indenter radius")),
-    "preload_N": ("force", ("preload",)),
-    "along_mm": ("length", ("along",)),
-    "across_mm": ("length", ("across",)),
-    "tilt_deg": ("angle", ("tilt",)),
-}  # fmt: skip
+    "t_s": ("time", "t, time, elapsed time, test time, timestamp, zeit, temps"),
+    "indentation_mm": (
+        "length",
+        "indentation, indentation depth, depth, displacement, disp, travel, extension, stroke, position, weg, "
+        "eindringtiefe, deplacement",
+    ),
+    "force_N": ("force", "force, load, f, fz, normal force, kraft, normalkraft"),
+    "speed_mm_s": ("speed", "speed, velocity, geschwindigkeit"),
+    "indenter_size_mm": ("length", "indenter size, indenter radius"),
+    "preload_N": ("force", "preload"),
+    "along_mm": ("length", "along"),
+    "across_mm": ("length", "across"),
+    "tilt_deg": ("angle", "tilt"),
+}
 """Column -> its kind of quantity and the names that it may have beside its own."""
 TEXTS = {
-    "trial_id": ("trial id", "trial", "press id", "press"), "site": ("site",), "subject": ("subject", "participant"),
-    "phase": ("phase",), "indenter_shape": ("indenter shape",), "filter": ("filter",),
-}  # fmt: skip
+    "trial_id": "trial id, trial, press id, press",
+    "site": "site",
+    "subject": "subject, participant",
+    "phase": "phase",
+    "indenter_shape": "indenter shape",
+    "filter": "filter",
+}
+KNOWN_UNITS = {unit for units in UNITS.values() for unit in units} | set(ELECTRIC)
 NEEDED = ("t_s", "indentation_mm", "force_N")
 HEAD_LINES = 200
 """The header is looked for in so many lines."""
@@ -83,12 +92,10 @@ class Columns:
     """(n,) each row's line in the file, from 1"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Field:
-    """One field of a header."""
-
     text: str
-    column: str | None
+    column: str | None = None
     """Name in TEXTS or NUMBERS, or None for a column that is not needed."""
     unit: str | None = None
 
@@ -97,7 +104,7 @@ class _Field:
         return self.text == self.column
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Header:
     line: int
     """From 1."""
@@ -107,10 +114,6 @@ class _Header:
     @property
     def columns(self) -> list[str]:
         return [field.column for field in self.fields if field.column is not None]
-
-    @property
-    def needed(self) -> int:
-        return len(set(self.columns) & set(NEEDED))
 
 
 def read_columns(path: Path) -> Columns:
@@ -122,38 +125,16 @@ def read_columns(path: Path) -> Columns:
     except IsADirectoryError:
         raise ConfigError(f"{path} is a folder; name the CSV files of measured trials in it") from None
     source = io.StringIO(_decoded(data, path), newline="")
-    head = list(islice(source, HEAD_LINES))
-    header = _header(head, path)
+    header = _header(list(islice(source, HEAD_LINES)), path)
     source.seek(0)
-    for _ in range(header.line):
-        source.readline()
-    rows = _rows(source, header.delimiter)
+    body = islice(source, header.line, None)
+    spaced = header.delimiter == SPACES
+    lines = (" ".join(line.split()) for line in body) if spaced else body
+    rows = csv.reader(lines, delimiter=header.delimiter, skipinitialspace=not spaced)
     try:
         return _columns(rows, header, path, hashlib.sha256(data).hexdigest())
     except csv.Error as error:
         raise ConfigError(f"{path}, line {header.line + rows.line_num}: not CSV: {error}") from None
-
-
-class _Rows(TypingProtocol):
-    line_num: int
-
-    def __iter__(self) -> Iterator[list[str]]: ...
-
-
-class _Spaced:
-    """Rows of fields between spaces, counted as csv.reader counts them."""
-
-    def __init__(self, source: io.StringIO) -> None:
-        self._source, self.line_num = source, 0
-
-    def __iter__(self) -> Iterator[list[str]]:
-        for line in self._source:
-            self.line_num += 1
-            yield line.split()
-
-
-def _rows(source: io.StringIO, delimiter: str) -> _Rows:
-    return _Spaced(source) if delimiter == SPACES else csv.reader(source, delimiter=delimiter, skipinitialspace=True)
 
 
 def _decoded(data: bytes, path: Path) -> str:
@@ -171,23 +152,21 @@ def _decoded(data: bytes, path: Path) -> str:
 
 
 def _header(head: Sequence[str], path: Path) -> _Header:
-    """Return the first line that names time, indentation and force.
-
-    Raises ConfigError for the line that comes nearest to it.
-    """
+    """Return the first line that names time, indentation and force. Raises ConfigError for the line that comes nearest
+    to it."""
     declared = re.fullmatch(r"\ufeff?sep=(.)\s*", head[0]) if head else None
     found = [
-        _Header(line=number, delimiter=delimiter, fields=[_field(text) for text in fields])
+        _Header(number, delimiter, [_field(text) for text in fields])
         for number, line in enumerate(head, start=1)
-        for delimiter in ([declared[1]] if declared else DELIMITERS)
+        for delimiter in (declared[1] if declared else DELIMITERS)
         if len(fields := _split(line, delimiter)) > 1
     ]
-    best = max(found, key=lambda one: (one.needed, len(one.columns), -one.line), default=None)
-    if best is None:
+    if not found:
         raise ConfigError(
             f"{path} is empty or has no table; one line names the columns, at least {', '.join(NEEDED)}; carecontact "
             "calibrate --template prints an example"
         )
+    best = max(found, key=lambda one: (len(set(one.columns) & set(NEEDED)), len(one.columns), -one.line))
     _check_header(best, path)
     # Of two columns that may mean the same, the one with the exact name counts.
     exact = {field.column for field in best.fields if field.exact}
@@ -198,11 +177,8 @@ def _header(head: Sequence[str], path: Path) -> _Header:
 def _split(line: str, delimiter: str) -> list[str]:
     line = line.strip(" \r\n").removeprefix("\ufeff").lstrip("#%").strip(" ")
     if delimiter == SPACES:
-        return (
-            []
-            if any(mark in line for mark in DELIMITERS[:-1])
-            else re.split(r"\s{2,}" if "  " in line else r"\s+", line)
-        )
+        several = any(mark in line for mark in DELIMITERS if mark != SPACES)
+        return [] if several else re.split(r"\s{2,}" if "  " in line else r"\s+", line)
     try:
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
@@ -213,81 +189,71 @@ def _field(text: str) -> _Field:
     """Read a header's field: its name and, in brackets or behind it, its unit."""
     plain = unicodedata.normalize("NFKC", text).strip()
     name, unit = _words(plain), None
-    for column, words in TEXTS.items():
-        if name in words:
-            return _Field(text=plain, column=column)
-    bracket = re.fullmatch(r"(.+?)\s*[\[({<]\s*([^\])}>]*?)\s*[\])}>]", plain)
-    if bracket:
+    for column, names in TEXTS.items():
+        if name in names.split(", "):
+            return _Field(plain, column)
+    if bracket := re.fullmatch(r"(.+?)\s*[\[({<]\s*([^\])}>]*?)\s*[\])}>]", plain):
         name, unit = _words(bracket[1]), bracket[2]
     else:
-        known = {unit for units in UNITS.values() for unit in units} | set(ELECTRIC)
-        for one in sorted(known, key=len, reverse=True):
-            behind = re.fullmatch(rf"(.+?)(?:\s*[/,]\s*|\s+in\s+|[_\s]){re.escape(one)}", plain, re.IGNORECASE)
-            if behind:
-                name, unit = _words(behind[1]), plain[-len(one) :]
-                break
-    for column, (_, words) in NUMBERS.items():
-        if name in words or name == _words(column.rpartition("_")[0]) or plain == column:
-            return _Field(text=plain, column=column, unit=unit)
-    return _Field(text=plain, column=None)
+        units = "|".join(map(re.escape, sorted(KNOWN_UNITS, key=len, reverse=True)))
+        if behind := re.fullmatch(rf"(.+?)(?:\s*[/,]\s*|\s+in\s+|[_\s])({units})", plain, re.IGNORECASE):
+            name, unit = _words(behind[1]), behind[2]
+    for column, (_, names) in NUMBERS.items():
+        if name in (*names.split(", "), _words(column.rpartition("_")[0])) or plain == column:
+            return _Field(plain, column, unit)
+    return _Field(plain)
 
 
 def _words(text: str) -> str:
     """``Indentation_Depth`` -> ``indentation depth``, without accents."""
-    letters = unicodedata.normalize("NFKD", text)
-    return " ".join(
-        re.sub(r"[_\-.\s]+", " ", "".join(c for c in letters if not unicodedata.combining(c))).lower().split()
-    )
+    letters = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    return " ".join(re.sub(r"[_\-.\s]+", " ", letters).lower().split())
 
 
 def _check_header(header: _Header, path: Path) -> None:
     """Raise ConfigError for a column that is missing, there twice, or named almost like one that is not there."""
-    place = f"{path}, line {header.line}"
+    place, columns = f"{path}, line {header.line}", header.columns
     others = [field.text for field in header.fields if field.column is None and field.text]
-    missing = [column for column in NEEDED if column not in header.columns]
-    if missing:
-        near = [text for column in missing if (text := _nearest(column, others))]
-        meant = f" (is it {' or '.join(map(repr, dict.fromkeys(near)))}?)" if near else ""
+    if missing := [column for column in NEEDED if column not in columns]:
+        near = dict.fromkeys(text for column in missing if (text := _nearest(column, others)))
+        meant = f" (is it {' or '.join(map(repr, near))}?)" if near else ""
         raise ConfigError(
             f"{place}: no column {', '.join(missing)}{meant}; name {'it' if len(missing) == 1 else 'them'} so, or with "
             f"the unit in brackets; carecontact calibrate --template prints an example"
         )
-    for column in dict.fromkeys(header.columns):
+    for column in dict.fromkeys(columns):
         same = [field for field in header.fields if field.column == column]
         if len(same) > 1 and sum(field.exact for field in same) != 1:
             raise ConfigError(
                 f"{place}: columns {' and '.join(repr(field.text) for field in same)} may both be {column}; name the "
                 f"right one {column}, or delete the other"
             )
+    absent = [column for column in (*TEXTS, *NUMBERS) if column not in columns]
     for text in others:
-        absent = [column for column in (*TEXTS, *NUMBERS) if column not in header.columns]
-        close = difflib.get_close_matches(text.casefold(), absent, n=1, cutoff=0.8)
-        if close:
+        if close := difflib.get_close_matches(text.casefold(), absent, n=1, cutoff=0.8):
             raise ConfigError(f"{place}: no column is named {text!r}; is it {close[0]}? Rename or delete it")
 
 
 def _nearest(column: str, others: Sequence[str]) -> str | None:
     """Return the field that comes nearest to any of the column's names."""
-    words = (column, column.rpartition("_")[0], *NUMBERS[column][1])
-    scores = {
-        text: max(difflib.SequenceMatcher(None, _words(text), _words(word)).ratio() for word in words if len(word) > 1)
-        for text in others
-    }
-    best = max(scores, key=lambda text: scores[text], default=None)
-    return best if best is not None and scores[best] >= 0.6 else None
+    words = [_words(word) for word in (column, column.rpartition("_")[0], *NUMBERS[column][1].split(", "))]
+
+    def likeness(text: str) -> float:
+        return max(difflib.SequenceMatcher(None, _words(text), word).ratio() for word in words if len(word) > 1)
+
+    best = max(others, key=likeness, default=None)
+    return best if best is not None and likeness(best) >= 0.6 else None
 
 
-def _columns(rows: _Rows, header: _Header, path: Path, sha256: str) -> Columns:
-    width = len(header.fields)
+def _columns(rows: Reader, header: _Header, path: Path, sha256: str) -> Columns:
+    width, before = len(header.fields), header.line
     kept = {field.column: k for k, field in enumerate(header.fields) if field.column is not None}
     text: dict[str, list[str]] = {name: [] for name in kept if name in TEXTS}
     number: dict[str, list[Array]] = {name: [] for name in kept if name in NUMBERS}
     factors: dict[str, float] = {}
     marks = _DecimalMarks(path)
     lines: list[int] = []
-    before = header.line
-    source = iter(rows)
-    while chunk := list(islice(source, CHUNK_ROWS)):
+    while chunk := list(islice(rows, CHUNK_ROWS)):
         last = header.line + rows.line_num
         if last - before != len(chunk):
             raise ConfigError(f"{path}, between lines {before + 1} and {last}: a quoted field holds a line break")
@@ -296,7 +262,8 @@ def _columns(rows: _Rows, header: _Header, path: Path, sha256: str) -> Columns:
         # Spreadsheets also save rows that consist of delimiters only, and rigs end rows with a delimiter.
         if set(map(len, chunk)) != {width} or not all(map(itemgetter(0), chunk)):
             full = [k for k, row in enumerate(chunk) if "".join(row).strip() and not row[0].lstrip().startswith("#")]
-            numbered, chunk = [numbered[k] for k in full], [_cut(chunk[k], width) for k in full]
+            numbered = [numbered[k] for k in full]
+            chunk = [row[:width] if not "".join(row[width:]).strip() else row for row in map(chunk.__getitem__, full)]
             _check_widths(numbered, chunk, header, path)
         if chunk and not factors:
             units = _units_row(chunk[0], kept)
@@ -314,17 +281,9 @@ def _columns(rows: _Rows, header: _Header, path: Path, sha256: str) -> Columns:
             parts.append(factors[name] * marks.numbers(columns[kept[name]], label, numbered))
     if not lines:
         raise ConfigError(f"{path} has column names but no rows")
-    return Columns(
-        path=path,
-        sha256=sha256,
-        text={name: np.array(values, object) for name, values in text.items()},
-        number={name: np.concatenate(parts) for name, parts in number.items()},
-        line=np.array(lines),
-    )
-
-
-def _cut(row: list[str], width: int) -> list[str]:
-    return row[:width] if not "".join(row[width:]).strip() else row
+    texts = {name: np.array(values, object) for name, values in text.items()}
+    numbers = {name: np.concatenate(parts) for name, parts in number.items()}
+    return Columns(path=path, sha256=sha256, text=texts, number=numbers, line=np.array(lines))
 
 
 def _check_widths(lines: Sequence[int], rows: list[list[str]], header: _Header, path: Path) -> None:
@@ -340,12 +299,10 @@ def _check_widths(lines: Sequence[int], rows: list[list[str]], header: _Header, 
 
 def _units_row(row: Sequence[str], kept: dict[str, int]) -> dict[str, str]:
     """Return the units of the columns if the row consists of units, else nothing."""
-    found = {name: re.sub(r"[\[\](){}]", "", row[k]).strip() for name, k in kept.items() if name in NUMBERS}
-    if any(_number(found[name]) is not None for name in NEEDED) or not all(found[name] for name in NEEDED):
-        return {}
-    known = {unit for units in UNITS.values() for unit in units} | set(ELECTRIC)
-    said = {name: unicodedata.normalize("NFKC", unit) for name, unit in found.items() if unit}
-    return said if all(unit.lower() in known for unit in said.values()) else {}
+    plain = {name: re.sub(r"[\[\](){}]", "", row[k]).strip() for name, k in kept.items() if name in NUMBERS}
+    units = {name: unicodedata.normalize("NFKC", unit) for name, unit in plain.items() if unit}
+    named = all(name in units and _number(plain[name]) is None for name in NEEDED)
+    return units if named and all(unit.lower() in KNOWN_UNITS for unit in units.values()) else {}
 
 
 def _factors(header: _Header, row: dict[str, str], path: Path) -> dict[str, float]:
@@ -354,25 +311,25 @@ def _factors(header: _Header, row: dict[str, str], path: Path) -> dict[str, floa
     for field in header.fields:
         if field.column not in NUMBERS:
             continue
-        kind, _ = NUMBERS[field.column]
-        place = f"{path}, line {header.line}, column {field.text}"
-        said = {unit for unit in (field.unit, row.get(field.column)) if unit}
-        factors = {UNITS[kind].get(unit.lower()) for unit in said}
-        if not said:
-            raise ConfigError(f"{place}: it has no unit; name the column {field.column}, or write its unit in brackets")
-        electric = sorted(unit for unit in said if unit.lower() in ELECTRIC)
-        if electric:
-            raise ConfigError(
-                f"{place}: {electric[0]} is what the amplifier gives; multiply the column by your sensor's calibration "
-                f"and name it {field.column}"
+        known = UNITS[kind := NUMBERS[field.column][0]]
+        units = sorted({unit for unit in (field.unit, row.get(field.column)) if unit})
+        electric = [unit for unit in units if unit.lower() in ELECTRIC]
+        factors = {known.get(unit.lower(), np.nan) for unit in units}
+        if not units:
+            fault = f"it has no unit; name the column {field.column}, or write its unit in brackets"
+        elif electric:
+            fault = (
+                f"{electric[0]} is what the amplifier gives; multiply the column by your sensor's calibration and name "
+                f"it {field.column}"
             )
-        if None in factors:
-            raise ConfigError(
-                f"{place}: {' and '.join(sorted(said))} is not a unit of {kind}; valid: {', '.join(UNITS[kind])}"
-            )
-        if len(factors) > 1:
-            raise ConfigError(f"{place}: the header says {field.unit} and the row of units {row[field.column]}")
-        out[field.column] = float(max(factor for factor in factors if factor is not None))
+        elif np.isnan(list(factors)).any():
+            fault = f"{' and '.join(units)} is not a unit of {kind}; valid: {', '.join(known)}"
+        elif len(factors) > 1:
+            fault = f"the header says {field.unit} and the row of units {row[field.column]}"
+        else:
+            out[field.column] = float(factors.pop())
+            continue
+        raise ConfigError(f"{path}, line {header.line}, column {field.text}: {fault}")
     return out
 
 
@@ -390,26 +347,23 @@ class _DecimalMarks:
             with_mark = [k for k, value in enumerate(values) if mark in value]
             if not with_mark:
                 continue
-            self._seen.setdefault(mark, (lines[with_mark[0]], name, values[with_mark[0]].strip()))
-            if all(THOUSANDS.fullmatch(values[k].strip()) for k in with_mark) and any(
-                mark not in value and abs(_number(value) or 0.0) >= 100 for value in values
-            ):
-                self._refuse(lines[with_mark[0]], name, f"{values[with_mark[0]].strip()!r} may have a mark between "
-                             "thousands; write numbers without it")  # fmt: skip
+            first, shown = lines[with_mark[0]], values[with_mark[0]].strip()
+            self._seen.setdefault(mark, (first, name, shown))
+            large = (value for value in values if mark not in value and abs(_number(value) or 0.0) >= 100)
+            if all(THOUSANDS.fullmatch(values[k].strip()) for k in with_mark) and any(large):
+                self._refuse(first, name, f"{shown!r} may have a mark between thousands; write numbers without it")
         if len(self._seen) > 1:
             (line, column, value), (_, other, shown) = self._seen[","], self._seen["."]
-            self._refuse(line, column, f"{value!r} has a comma, and {shown!r} in column {other} has a point; write "
-                         "decimals with one mark, and no thousands")  # fmt: skip
+            points = f"{shown!r} in column {other} has a point"
+            self._refuse(line, column, f"{value!r} has a comma, and {points}; write decimals with one mark, and no "
+                         "thousands")  # fmt: skip
         try:
             out = np.array(list(map(float, values)))
         except ValueError:
             out = np.array([np.nan if (number := _number(value)) is None else number for value in values])
-        wrong = np.flatnonzero(~np.isfinite(out))
-        if len(wrong):
-            value = values[int(wrong[0])].strip()
-            self._refuse(
-                lines[int(wrong[0])], name, f"{repr(value) if value else 'an empty field'} is not a finite number"
-            )
+        for k in map(int, np.flatnonzero(~np.isfinite(out))[:1]):
+            value = values[k].strip()
+            self._refuse(lines[k], name, f"{repr(value) if value else 'an empty field'} is not a finite number")
         return out
 
     def _refuse(self, line: int, column: str, why: str) -> None:

@@ -1,5 +1,4 @@
-"""Replays measured trials on the tissue bench, with the same indenter, place, direction, speed, depth and rule of
-touch."""
+"""Replays measured trials on the tissue bench, with the same indenter, place, direction, speed, depth and touch."""
 
 from __future__ import annotations
 
@@ -28,8 +27,6 @@ the work lost by at most 2.5 %."""
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Trials that share one simulated press."""
-
     condition: Condition
     members: tuple[int, ...]
     """Indices of curves"""
@@ -69,17 +66,16 @@ def group_curves(curves: Sequence[Curve]) -> tuple[Group, ...]:
             inside = [k for k in order if curves[k].deepest_m <= limit]
             order = order[len(inside) :]
             middle = curves[inside[len(inside) // 2]]
-            groups.append(
-                Group(
-                    condition=condition,
-                    members=tuple(sorted(inside)),
-                    path_s=middle.path_s,
-                    path_m=middle.path_m,
-                    deepest_m=float(middle.path_m.max()),
-                    touch_force_n=float(np.mean([curves[k].touch_force_n for k in inside])),
-                    unloads=unloads,
-                )
+            group = Group(
+                condition=condition,
+                members=tuple(sorted(inside)),
+                path_s=middle.path_s,
+                path_m=middle.path_m,
+                deepest_m=float(middle.path_m.max()),
+                touch_force_n=float(np.mean([curves[k].touch_force_n for k in inside])),
+                unloads=unloads,
             )
+            groups.append(group)
     return tuple(groups)
 
 
@@ -91,17 +87,13 @@ class Replay:
         shell = region_shell(body, region, tissue)
         self.benches: dict[tuple[str, float | None], Bench] = {}
         for group in groups:
-            key = _indenter_key(group.condition)
+            shape, size_m = key = _indenter_key(group.condition)
+            indenter = Indenter(shape=shape, size_m=size_m)  # type: ignore[arg-type]
             if key not in self.benches:
                 self.benches[key] = Bench(
-                    body=body,
-                    region=region,
-                    tissue=tissue,
-                    shell=shell,
-                    indenter=Indenter(shape=key[0], size_m=key[1]),  # type: ignore[arg-type]
-                    dt_s=TIME_STEP_S,
+                    body=body, region=region, tissue=tissue, shell=shell, indenter=indenter, dt_s=TIME_STEP_S
                 )
-        self._zero = [0.0] * len(self.groups)
+        self.forget()
 
     def bench_of(self, group: Group) -> Bench:
         return self.benches[_indenter_key(group.condition)]
@@ -123,12 +115,10 @@ class Replay:
         # Touch depends on the law, and the turning point on touch: start from the last result, and repeat if it has
         # moved.
         stride = max(1, round(np.ptp(group.path_s) / 300 / bench.model.opt.timestep))
+        at = {"along_m": c.along_m, "across_m": c.across_m, "tilt_deg": c.tilt_deg}
         for _ in range(6):
             guess = self._zero[number]
-            press = bench.follow(
-                *_from_outside(group.path_s, group.path_m + guess), along_m=c.along_m, across_m=c.across_m,
-                tilt_deg=c.tilt_deg, stride=stride,
-            )  # fmt: skip
+            press = bench.follow(*_from_outside(group.path_s, group.path_m + guess), stride=stride, **at)
             turn = int(press.indentation_m.argmax())
             depth, force = press.indentation_m, despiked(press.force_n)
             self._zero[number] = touch_depth(depth[: turn + 1], force[: turn + 1], group.touch_force_n)
@@ -136,30 +126,21 @@ class Replay:
                 break
         zero = self._zero[number]
         grid = GRID * group.deepest_m
-        unloading = np.full(len(GRID), np.nan)
+        loading, unloading = np.interp(grid, depth[: turn + 1] - zero, force[: turn + 1]), np.full(len(GRID), np.nan)
         if group.unloads:
             unloading = np.interp(grid, (depth[turn:] - zero)[::-1], force[turn:][::-1])
-        return Replayed(
-            press=press,
-            zero_m=zero,
-            loading_n=np.interp(grid, depth[: turn + 1] - zero, force[: turn + 1]),
-            unloading_n=unloading,
-        )
+        return Replayed(press=press, zero_m=zero, loading_n=loading, unloading_n=unloading)
 
 
 def on_trial(replayed: Replayed, group: Group, curve: Curve) -> tuple[Array, Array]:
-    """Return simulated loading and unloading forces on one trial's own grid; nan beyond the depth that the replay
-    reached.
-    """
+    """Return simulated loading and unloading forces on one trial's own grid; nan deeper than the replay reached."""
     grid = np.where(curve.grid_m <= group.deepest_m * REACH, curve.grid_m, np.nan)
     depth = GRID * group.deepest_m
     return np.interp(grid, depth, replayed.loading_n), np.interp(grid, depth, replayed.unloading_n)
 
 
 def _from_outside(time: Array, depth: Array) -> tuple[Array, Array]:
-    """Return the path without its wait before touch: it begins a little outside the skin, at the speed of first
-    touch.
-    """
+    """Return the path from a little outside the skin, at the speed of first touch, without a wait before touch."""
     inside = int(np.argmax(depth > 0.0))
     slow = max(inside, 5)
     speed = max((depth[slow] - depth[slow - 5]) / (time[slow] - time[slow - 5]), 1e-4)

@@ -19,9 +19,13 @@ Shape = Literal["flat", "hemisphere", "cap"]
 PHASES = ("load", "hold", "unload")
 SHAPES = get_args(Shape)
 LIMITS = {
-    "speed_mm_s": (0.05, 500.0), "indenter_size_mm": (1.0, 100.0), "preload_N": (0.0, 20.0),
-    "along_mm": (-300.0, 300.0), "across_mm": (-300.0, 300.0), "tilt_deg": (-45.0, 45.0),
-}  # fmt: skip
+    "speed_mm_s": (0.05, 500.0),
+    "indenter_size_mm": (1.0, 100.0),
+    "preload_N": (0.0, 20.0),
+    "along_mm": (-300.0, 300.0),
+    "across_mm": (-300.0, 300.0),
+    "tilt_deg": (-45.0, 45.0),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +98,8 @@ class Setup(_Stated):
 
     def of(self, path: Path) -> dict[str, str | float]:
         """Return column -> value for the presses of a file."""
-        own = self.files.get(path.name)
         common = self.model_dump(exclude_none=True, exclude={"files"})
-        return common | ({} if own is None else own.model_dump(exclude_none=True))
+        return common | self.files.get(path.name, _Stated()).model_dump(exclude_none=True)
 
 
 def read_setup(path: Path) -> Setup:
@@ -111,23 +114,21 @@ def read_setup(path: Path) -> Setup:
 
 def template() -> str:
     """Return a file of one press that is read as it is, with a comment for each thing that a user has to change."""
-    travel = np.r_[np.linspace(-1.0, 4.0, 26), np.linspace(3.8, -1.0, 25)]
-    rows = [
-        f"press-1,forearm synthetic,person-1,{0.02 * k:.2f},{d:.2f},"
-        f"{max(0.9 * d + 0.07 * d * abs(d), 0.0) * (1.0 if k < 26 else 0.85):.3f},flat,10.7,0,0,0"
-        for k, d in enumerate(travel)
-    ]
-    return "\n".join([*_TEMPLATE, *rows]) + "\n"
+    rows = []
+    for k, d in enumerate(np.r_[np.linspace(-1.0, 4.0, 26), np.linspace(3.8, -1.0, 25)]):
+        force = max(0.9 * d + 0.07 * d * abs(d), 0.0) * (1.0 if k < 26 else 0.85)
+        rows.append(f"press-1,forearm synthetic,person-1,{0.02 * k:.2f},{d:.2f},{force:.3f},flat,10.7,0,0,0\n")
+    return _TEMPLATE + "".join(rows)
 
 
-_TEMPLATE = (
-    "# Template of carecontact calibrate, with one made-up press. Replace its rows by yours; docs/calibration.md has",
-    "# every column. One row is one sample; a press goes in, may wait, and goes out. Start 1 mm outside the skin.",
-    "# trial_id: one press, its rows together. Without this column, one file is one press.",
-    "# site: begins with forearm, upper arm or abdomen. subject: who was pressed.",
-    "# indentation_mm: along the press, inward positive, any zero. force_N: compression positive.",
-    "# indenter_shape: flat or hemisphere, with its radius in indenter_size_mm. cap: the shipped tool.",
-    "# along_mm, across_mm, tilt_deg: place from the region's middle, and lean. What holds for all presses can stand",
-    "# in a TOML file instead (--setup FILE.toml), as one line for each column: indenter_shape = \"flat\"",
-    "trial_id,site,subject,t_s,indentation_mm,force_N,indenter_shape,indenter_size_mm,along_mm,across_mm,tilt_deg",
-)  # fmt: skip
+_TEMPLATE = """\
+# Template of carecontact calibrate, with one made-up press. Replace its rows by yours; docs/calibration.md has
+# every column. One row is one sample; a press goes in, may wait, and goes out. Start 1 mm outside the skin.
+# trial_id: one press, its rows together. Without this column, one file is one press.
+# site: begins with forearm, upper arm or abdomen. subject: who was pressed.
+# indentation_mm: along the press, inward positive, any zero. force_N: compression positive.
+# indenter_shape: flat or hemisphere, with its radius in indenter_size_mm. cap: the shipped tool.
+# along_mm, across_mm, tilt_deg: place from the region's middle, and lean. What holds for all presses can stand
+# in a TOML file instead (--setup FILE.toml), as one line for each column: indenter_shape = "flat"
+trial_id,site,subject,t_s,indentation_mm,force_N,indenter_shape,indenter_size_mm,along_mm,across_mm,tilt_deg
+"""

@@ -26,8 +26,6 @@ from carecontact.protocol.person import Tissue
 from carecontact.sim.bench import LAW_FIELDS
 from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
 
-# The statements of a certificate that need no fit, so that ``verify`` can compute them again.
-
 PUBLISHED_SET = "human-published"
 
 
@@ -49,15 +47,12 @@ def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
 
 def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -> dict[str, float]:
     """Return the secant stiffness to the deepest point and the tangent stiffness over the deeper half [N/mm], each as
-    the mean over all trials.
-    """
-    weight = np.array([len(g.members) for g in groups], float)
-    secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in zip(groups, replayed, strict=True)]
-    tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in zip(groups, replayed, strict=True)]
-    return {
-        "secant_n_mm": float(np.average(secants, weights=weight)),
-        "tangent_n_mm": float(np.average(tangents, weights=weight)),
-    }
+    the mean over all trials."""
+    weight, pairs = [len(g.members) for g in groups], list(zip(groups, replayed, strict=True))
+    secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in pairs]
+    tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in pairs]
+    means = {"secant_n_mm": secants, "tangent_n_mm": tangents}
+    return {name: float(np.average(values, weights=np.array(weight, float))) for name, values in means.items()}
 
 
 def published_ratio(replay: Replay, curves: Sequence[Curve]) -> float:
@@ -101,9 +96,7 @@ def responses(curves: Sequence[Curve], groups: Sequence[Group], replayed: Sequen
 
 
 def model_hashes(replay: Replay, body: str, tissue: Tissue) -> dict[str, str]:
-    """Return the sha256 of the body's archive, of the shell's mesh, and of the benches that are compiled with this
-    law.
-    """
+    """Return the sha256 of the body's archive, of the shell's mesh, and of the benches compiled with this law."""
     shell = next(iter(replay.benches.values())).shell
     mesh = hashlib.sha256(np.ascontiguousarray(shell.vertices).tobytes())
     mesh.update(np.ascontiguousarray(shell.triangles).tobytes())
@@ -114,9 +107,6 @@ def model_hashes(replay: Replay, body: str, tissue: Tissue) -> dict[str, str]:
         mujoco.mj_saveModel(bench.model, None, buffer)
         model.update(buffer.tobytes())
     return {"body": load_body(body).sha256, "mesh": mesh.hexdigest(), "model": model.hexdigest()}
-
-
-# Runs a certificate's simulation again on the same data, and compares the results.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,13 +238,12 @@ def _check_consistent(content: Content) -> None:
             raise ConfigError(f"the certificate states {name} {stated.value:g}, its tissue row has {row}")
     if content.band != BAND:
         raise ConfigError(f"the certificate allows {content.band}; this carecontact allows {BAND}")
-    for of in (content.agreement, *([] if content.held_out is None else [content.held_out])):
-        if set(of) != set(POOLED) or of["nrmse"].value is None:
+    for of in (content.agreement, content.held_out):
+        if of is not None and (set(of) != set(POOLED) or of["nrmse"].value is None):
             raise ConfigError(f"the certificate's agreement has {sorted(of)}; expected {sorted(POOLED)}")
     if set(content.stiffness) != {"secant_n_mm", "tangent_n_mm"}:
         raise ConfigError(f"the certificate's stiffness has {sorted(content.stiffness)}")
-    missing = {"data", "body", "mesh", "model"} - set(content.hashes)
-    if missing:
+    if missing := {"data", "body", "mesh", "model"} - set(content.hashes):
         raise ConfigError(f"the certificate has no hash of: {', '.join(sorted(missing))}")
     for name in ("mujoco", "kernel"):
         if name not in content.versions:
@@ -265,6 +254,5 @@ def _check_consistent(content: Content) -> None:
     if content.reasons != why or (content.verdict == "rejected") != bool(why):
         raise ConfigError(f"the certificate says {content.verdict}, its own figures: {'; '.join(why) or 'accepted'}")
     if row is None or row.verdict != content.verdict:
-        raise ConfigError(
-            f"the certificate says {content.verdict}, its tissue row {'nothing' if row is None else row.verdict}"
-        )
+        verdict = "nothing" if row is None else row.verdict
+        raise ConfigError(f"the certificate says {content.verdict}, its tissue row {verdict}")

@@ -65,14 +65,10 @@ SKINS = (MIDDLE, *CORNERS)
 """The skins of the published range: its middle and its corners."""
 
 
-# The shape of the soft ground under an indenter: a flat layer, or a round limb around a round bone.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Ground:
     """Tissue that is bonded to rigid bone at ``thickness_m`` under its surface. It is infinite along and, if flat,
-    across.
-    """
+    across."""
 
     thickness_m: float
     """Thickness of the skin and the tissue below it together."""
@@ -83,16 +79,11 @@ class Ground:
 
 @dataclass(frozen=True, kw_only=True)
 class Medium:
-    """A ground and what it is made of."""
-
     ground: Ground
     skin: Skin
     tissue_pa: float
     """Young's modulus of the tissue under the skin."""
 
-
-# Rigid tools that are pressed into tissue, described by the height of their surface above the tip. Lengths along the
-# limb come first, lengths across it second.
 
 STEEPEST = 4.0
 """Slope (76 degrees) from which a round tool continues as a straight cone, so that its height is finite everywhere;
@@ -103,7 +94,7 @@ EDGE_M = 0.002
 
 @dataclass(frozen=True, kw_only=True)
 class Tool:
-    """A tool with its longer side across the limb, as the shipped cap is held."""
+    """A rigid tool that is pressed into tissue, with its longer side across the limb, as the shipped cap is held."""
 
     name: str
     shape: Literal["ellipsoid", "disc"]
@@ -125,8 +116,7 @@ class Tool:
 
     def reach_m(self, depth_m: float) -> float:
         """Return the distance from the axis up to which the tool can touch at this depth; a disc touches up to its
-        radius.
-        """
+        radius."""
         a, b, up = self.semi_axes_m
         if self.shape == "disc":
             return a
@@ -136,8 +126,7 @@ class Tool:
 
 def _dome(share: Array, up_m: float, steepest: float) -> Array:
     """Return the height of half an ellipse at a share of its half width, continued straight from where its slope is
-    ``steepest``.
-    """
+    ``steepest``."""
     last = steepest / np.hypot(1.0, steepest)
     inside = np.minimum(share, last)
     return up_m * (1 - np.sqrt(1 - inside**2) + steepest * np.maximum(share - last, 0.0))
@@ -155,8 +144,6 @@ def disc(radius_m: float) -> Tool:
 CAP = Tool(name="cap", shape="ellipsoid", semi_axes_m=EMBODIMENTS["caps"].tip.half_m)
 """The shipped tool: an ellipsoid, wider across the limb than along it."""
 
-
-# What is compared: the regions with a published curve, the tools, the depths and the places.
 
 DEPTHS_M = np.array([0.0005, 0.001, 0.002, 0.003, 0.004])
 """Depths past touch. A linear layer is used no deeper than 4 mm."""
@@ -177,7 +164,7 @@ RADII = (0.5, 1.0, 2.0)
 """Factors of an indenter's radius over which the exponent is taken."""
 WAYS_M = np.r_[0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0] / 1000
 """Distances along the limb, or from head to foot over the abdomen, at which the force of a moved tool is given."""
-TOLD_WAYS_M = np.array([0.0005, 0.001, 0.002, 0.010])
+TABLE_WAYS_M = np.array([0.0005, 0.001, 0.002, 0.010])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +189,6 @@ class Case:
         return ball(BALL_M), disc(DISC_M), disc(PROBE_M)
 
     def gliding(self) -> tuple[Tool, ...]:
-        """The tools that are moved along the surface."""
         return self.main, CAP
 
 
@@ -227,9 +213,6 @@ CASES = (
 tissue sets. The radii of the limbs are those of man-adult, whose circumferences are 214 and 298 mm."""
 
 
-# What is measured on a tissue, whether finite elements or the simulator compute it.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Curve:
     """Presses with one tool, each from before touch on: one for finite elements, one for each place of a person."""
@@ -239,8 +222,7 @@ class Curve:
 
     def at(self, depths_m: Array, *, touch_n: float = TOUCH_N) -> Array:
         """Return the mean force (k,) [N] at depths past each press's own touch, where its force first exceeds
-        ``touch_n``.
-        """
+        ``touch_n``."""
         return np.mean(
             [np.interp(depths_m, d - touch_m(d, force, touch_n), force) for d, force in self.presses], axis=0
         )
@@ -307,8 +289,7 @@ class Answer:
 
 def touch_m(travel_m: Array, force_n: Array, threshold_n: float) -> float:
     """Return the interpolated travel [m] at which a press first exceeds the threshold. Raises CarecontactError if it
-    never does.
-    """
+    never does."""
     over = np.flatnonzero(force_n > threshold_n)
     if not len(over):
         raise CarecontactError(f"a press never exceeds {threshold_n} N")

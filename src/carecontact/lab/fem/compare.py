@@ -25,12 +25,12 @@ from carecontact.lab.fem.cases import (
     POISSON,
     RINGS_M,
     SKINS,
-    TOLD_WAYS_M,
+    TABLE_WAYS_M,
     TOUCH_N,
     TOUCHES_N,
     Answer,
     Case,
-    Ground,
+    Tool,
 )
 from carecontact.lab.fem.solve import MARGIN, Block, Sample
 from carecontact.lab.validation.result import Array
@@ -41,118 +41,88 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# The numbers by which two tissues are compared, each computed from an answer.
-
 POINTS = "%"
 """Unit of quantities that are percentages: they are compared by their difference, all others by their ratio."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Quantity:
     name: str
     unit: str
-    of: Callable[[Answer], float]
+    row: Callable[[Answer], Array]
+    at: int
+    """Index in the row."""
+
+    def of(self, answer: Answer) -> float:
+        return float(self.row(answer)[self.at])
 
 
 def quantities(case: Case) -> list[Quantity]:
     """Return every quantity of a case, in the order of the table."""
-    return [*_main_curve(case), *_other_tools(case), *_exponents(case), *_dimple(case), *_along(case)]
+    rows = (*_curves(case), *_dimples(case), *_along(case))
+    return [Quantity(name, unit, row, k) for names, unit, row in rows for k, name in enumerate(names)]
 
 
 def off_published(answer: Answer, case: Case, touch_n: float) -> Array:
-    """Return how far (d,) [%] the force at DEPTHS_M lies above the published curve's, if ``touch_n`` counts as
-    touch.
-    """
+    """Return how far (d,) [%] the force at DEPTHS_M lies above the published curve's, if ``touch_n`` is touch."""
     published = np.interp(DEPTHS_M, case.reference.depth_m, case.reference.force_n)
     return 100 * (answer.curves[case.main.name].at(DEPTHS_M, touch_n=touch_n) / published - 1)
 
 
-def _main_curve(case: Case) -> Iterator[Quantity]:
-    name = case.main.name
-    for k in (1, 2, 4):
-        yield Quantity(
-            name=f"force, {name}, {_mm(DEPTHS_M[k])} deep", unit="N",
-            of=lambda a, k=k: float(a.curves[name].at(DEPTHS_M)[k]),
-        )  # fmt: skip
-    for k in range(4):
-        yield Quantity(
-            name=f"share of the 4 mm force at {_mm(DEPTHS_M[k])}", unit="", of=lambda a, k=k: float(a.shares(case)[k])
-        )
-    for k in (0, 1, 2):
-        for touch in TOUCHES_N:
-            yield Quantity(
-                name=f"above the published curve at {_mm(DEPTHS_M[k])}, touch at {touch:g} N", unit=POINTS,
-                of=lambda a, k=k, touch=touch: float(off_published(a, case, touch)[k]),
-            )  # fmt: skip
+Rows = Iterator[tuple[list[str], str, Callable[[Answer], Array]]]
+"""Names, unit, and what computes them from an answer."""
 
 
-def _other_tools(case: Case) -> Iterator[Quantity]:
+def _curves(case: Case) -> Rows:
+    depths = [_mm(depth) for depth in DEPTHS_M]
+
+    def forces(name: str, which: list[int]) -> tuple[list[str], str, Callable[[Answer], Array]]:
+        return [f"force, {name}, {depths[k]} deep" for k in which], "N", lambda a: a.curves[name].at(DEPTHS_M)[which]
+
+    yield forces(case.main.name, [1, 2, 4])
+    yield [f"share of the 4 mm force at {depth}" for depth in depths[:4]], "", lambda a: a.shares(case)
+    above = [f"above the published curve at {d}, touch at {t:g} N" for d in depths[:3] for t in TOUCHES_N]
+    yield above, POINTS, lambda a: np.stack([off_published(a, case, t)[:3] for t in TOUCHES_N], 1).ravel()
     for name, tool in case.tools().items():
-        if tool == case.main or not (tool in case.references or tool in case.gliding()):
-            continue
-        for k in (1, 4):
-            yield Quantity(
-                name=f"force, {name}, {_mm(DEPTHS_M[k])} deep", unit="N",
-                of=lambda a, name=name, k=k: float(a.curves[name].at(DEPTHS_M)[k]),
-            )  # fmt: skip
-
-
-def _exponents(case: Case) -> Iterator[Quantity]:
+        if tool != case.main and (tool in case.references or tool in case.gliding()):
+            yield forces(name, [1, 4])
     for word in ("ball", "disc"):
-        for k in (1, 2, 4):
-            yield Quantity(
-                name=f"exponent over the radius, {word}s, {_mm(DEPTHS_M[k])} deep", unit="",
-                of=lambda a, word=word, k=k: float(a.exponents(case, word)[k]),
-            )  # fmt: skip
+        names = [f"exponent over the radius, {word}s, {depths[k]} deep" for k in (1, 2, 4)]
+        yield names, "", lambda a, word=word: a.exponents(case, word)[[1, 2, 4]]
 
 
-def _dimple(case: Case) -> Iterator[Quantity]:
-    for k, distance in enumerate(DIMPLE_M):
-        yield Quantity(
-            name=f"dimple, {case.main.name}, {_mm(distance)} from its axis", unit="",
-            of=lambda a, k=k: float(a.dimple_at(DIMPLE_M)[k]),
-        )  # fmt: skip
-    if case.ground.limb_radius_m is None:
-        return
-    for k, distance in enumerate(BESIDE_M):
-        yield Quantity(
-            name=f"dimple around the limb, {case.main.name}, {_mm(distance)} from its axis", unit="",
-            of=lambda a, k=k: float(a.beside_at(BESIDE_M)[k]),
-        )  # fmt: skip
+def _dimples(case: Case) -> Rows:
+    of = f"{case.main.name},"
+    yield [f"dimple, {of} {_mm(far)} from its axis" for far in DIMPLE_M], "", lambda a: a.dimple_at(DIMPLE_M)
+    if case.ground.limb_radius_m is not None:
+        names = [f"dimple around the limb, {of} {_mm(far)} from its axis" for far in BESIDE_M]
+        yield names, "", lambda a: a.beside_at(BESIDE_M)
 
 
-def _along(case: Case) -> Iterator[Quantity]:
+def _along(case: Case) -> Rows:
     for tool in case.gliding():
-        name = tool.name
-        yield Quantity(
-            name=f"along, {name}: stiffness while stuck", unit="N/mm", of=lambda a, n=name: a.drags[n].stuck_n_m / 1000
-        )
-        yield Quantity(
-            name=f"along, {name}: the same over the tool's radius", unit="kPa",
-            of=lambda a, tool=tool: a.drags[tool.name].stuck_n_m / tool.radius_m / 1000,
-        )  # fmt: skip
-        for k, way in enumerate(TOLD_WAYS_M):
-            yield Quantity(
-                name=f"along, {name}: force after {_mm(way)}", unit="N",
-                of=lambda a, n=name, k=k: float(a.drags[n].at(TOLD_WAYS_M)[k]),
-            )  # fmt: skip
-        yield Quantity(
-            name=f"along, {name}: force over normal force after 10 mm", unit="",
-            of=lambda a, n=name: float(a.drags[n].force_n[-1] / a.drags[n].normal_n[-1]),
-        )  # fmt: skip
+        yield from _drags(f"along, {tool.name}:", tool)
+
+
+def _drags(of: str, tool: Tool) -> Rows:
+    name = tool.name
+    yield [f"{of} stiffness while stuck"], "N/mm", lambda a: np.array([a.drags[name].stuck_n_m / 1000])
+    over = f"{of} the same over the tool's radius"
+    yield [over], "kPa", lambda a: np.array([a.drags[name].stuck_n_m / tool.radius_m / 1000])
+    yield [f"{of} force after {_mm(way)}" for way in TABLE_WAYS_M], "N", lambda a: a.drags[name].at(TABLE_WAYS_M)
+    ends = f"{of} force over normal force after 10 mm"
+    yield [ends], "", lambda a: a.drags[name].force_n[-1:] / a.drags[name].normal_n[-1:]
 
 
 def _mm(length_m: float) -> str:
     return f"{1000 * length_m:g} mm"
 
 
-# The finite elements' results as a small file, so that a tissue can be compared in seconds without solving anything.
-#
-# ``tools/fem_table.py`` writes it. To compare another tissue, read ``standards()``, compute that tissue's response to
-# the same tools, and ask each standard how far the quantity lies outside.
-
 FILE = "standards.json"
 SCHEMA = "carecontact-fem-standards-1"
+"""A small file of the finite elements' results, which ``tools/fem_table.py`` writes, so that a tissue can be compared
+in seconds without solving anything: read ``standards()``, compute the tissue's response to the same tools, and ask each
+standard how far the quantity lies outside."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,11 +146,12 @@ class Standard:
 
 def made(case: Case, plain: Answer, skins: tuple[Answer, ...]) -> list[Standard]:
     """Make the standards of one case. ``skins``: answers in the order of SKINS."""
-    return [
-        Standard(region=case.region, name=quantity.name, unit=quantity.unit, plain=rounded(quantity.of(plain)),
-                 skins=tuple(rounded(quantity.of(answer)) for answer in skins))
-        for quantity in quantities(case)
-    ]  # fmt: skip
+    out = []
+    for quantity in quantities(case):
+        without, *values = (rounded(quantity.of(answer)) for answer in (plain, *skins))
+        name, unit = quantity.name, quantity.unit
+        out.append(Standard(region=case.region, name=name, unit=unit, skins=tuple(values), plain=without))
+    return out
 
 
 def standards() -> list[Standard]:
@@ -195,10 +166,10 @@ def standards() -> list[Standard]:
 
 def as_text(found: dict[str, tuple[Answer, tuple[Answer, ...]]]) -> str:
     """Return the file's text, with a line for each quantity, from each region's answers without skin and with each of
-    SKINS.
-    """
+    SKINS."""
     head = {
-        "schema": SCHEMA, "written_by": "tools/fem_table.py", "columns": ["name", "unit", "no skin", *names()],
+        "schema": SCHEMA, "written_by": "tools/fem_table.py",
+        "columns": ["name", "unit", "no skin", *(skin.name for skin in SKINS)],
         "skins": {s.name: {"thickness_m": s.thickness_m, "modulus_pa": s.modulus_pa} for s in SKINS},
         "poisson": POISSON, "friction": FRICTION, "touch_n": TOUCH_N, "matched_m": MATCHED_M,
         "sources": "skin, Poisson's ratio, friction: materials.py; grounds: cases.py; published curves: "
@@ -218,16 +189,9 @@ def as_text(found: dict[str, tuple[Answer, tuple[Answer, ...]]]) -> str:
     return f'{{{json.dumps(head)[1:-1]},\n"regions": {{\n' + ",\n".join(regions) + "}}\n"
 
 
-def names() -> list[str]:
-    return [skin.name for skin in SKINS]
-
-
 def rounded(value: float) -> float:
-    """Round to four digits."""
     return float(f"{value:.4g}") if np.isfinite(value) else value
 
-
-# Compares both answers, for every skin of the published range.
 
 CLOSE_PERCENT = 10.0
 """Largest distance from the nearest end of the finite elements' range that the table counts as agreement."""
@@ -237,14 +201,11 @@ SECOND_SIDE_M = 0.003
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One quantity of one region, by finite elements and by the simulator."""
-
     standard: Standard
     simulated: float
 
     @property
     def outside_percent(self) -> float:
-        """How far the simulated value lies outside the range of the skins; 0 means inside."""
         return self.standard.outside_percent(self.simulated)
 
     @property
@@ -264,7 +225,6 @@ class Comparison:
     """Further numbers of the finite elements, by name."""
 
     def rows(self) -> list[Row]:
-        """Return this region's rows of the table."""
         standards = made(self.case, self.plain, self.skins)
         return [
             Row(standard=standard, simulated=quantity.of(self.simulated))
@@ -298,35 +258,28 @@ def judged(case: Case) -> tuple[Answer, tuple[Answer, ...]]:
 
 def _extras(case: Case, middle: Answer) -> dict[str, float]:
     """Return further numbers for the middle skin: those of a second method, and the changes by another Poisson's ratio
-    and another friction.
-    """
+    and another friction."""
     sample = solve.sample(case, MIDDLE, middle)
     name = case.main.name
     out = {f"force of the {name} at 4 mm by hexahedra over the table's": _second(case, sample)}
     for tool in case.gliding():
         drag = middle.drags[tool.name]
-        out[f"{tool.name}, 4 mm deep: radius of a circle as large as the touched area (mm)"] = (
-            1000 * drag.contact_radius_m
-        )
+        touched = f"{tool.name}, 4 mm deep: radius of a circle as large as the touched area (mm)"
+        out[touched] = 1000 * drag.contact_radius_m
     for poisson in OTHER_POISSON:
-        ground: Ground = replace(case.ground, poisson=poisson)
-        other = solve.answer(replace(case, ground=ground), MIDDLE)
+        other = solve.answer(replace(case, ground=replace(case.ground, poisson=poisson)), MIDDLE)
+        ratio = f"Poisson's ratio {poisson}"
         for word in ("ball", "disc"):
-            out[f"exponent over the radius, {word}s, 4 mm deep, Poisson's ratio {poisson}"] = float(
-                other.exponents(case, word)[-1]
-            )
-        out[f"along, {name}: stiffness while stuck (N/mm), Poisson's ratio {poisson}"] = (
-            other.drags[name].stuck_n_m / 1000
-        )
+            out[f"exponent over the radius, {word}s, 4 mm deep, {ratio}"] = float(other.exponents(case, word)[-1])
+        out[f"along, {name}: stiffness while stuck (N/mm), {ratio}"] = other.drags[name].stuck_n_m / 1000
         if case.ground.limb_radius_m is not None:
             for distance, share in zip(BESIDE_M, other.beside_at(BESIDE_M), strict=True):
-                where = f"{name}, {1000 * distance:g} mm from its axis"
-                out[f"dimple around the limb, {where}, Poisson's ratio {poisson}"] = float(share)
+                out[f"dimple around the limb, {name}, {_mm(distance)} from its axis, {ratio}"] = float(share)
     travel = middle.curves[name].touch_m(TOUCH_N) + DEPTHS_M[-1]
     for friction in OTHER_FRICTION:
         drag = sample.drag(case.main, travel, friction)
         for way in (0.0005, 0.001, 0.01):
-            out[f"along, {name}: force (N) after {1000 * way:g} mm, friction {friction}"] = float(drag.at(way))
+            out[f"along, {name}: force (N) after {_mm(way)}, friction {friction}"] = float(drag.at(way))
     return out
 
 
@@ -361,15 +314,12 @@ def _row_json(row: Row) -> dict[str, object]:
     }  # fmt: skip
 
 
-# One figure of both answers: force over depth, exponent of the radius, dimple, and force over the distance along.
-
 FEM, MIDDLE_SKIN, PLAIN_SKIN, HERE = "#56B4E9", "#0072B2", "#009E73", "#D55E00"
 TITLES = ("force over depth", "growth with balls' size", "growth with discs' size", "dimple", "gliding, 4 mm deep")
 SHOWN_WAYS_M = np.linspace(0.0, 0.005, 51)
 
 
 def draw(comparisons: list[Comparison], figure: Figure) -> None:
-    """Draw one row of panels for each region."""
     figure.set_size_inches(9.6, 2.05 * len(comparisons) + 0.5)
     grid = figure.subplots(len(comparisons), len(TITLES), squeeze=False, sharex="col")
     for axes, title in zip(grid[0], TITLES, strict=True):

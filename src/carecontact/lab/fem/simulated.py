@@ -72,7 +72,6 @@ def answer(subject: Subject, case: Case) -> Answer:
 
 
 def indenter(tool: Tool) -> Indenter:
-    """Return the bench's indenter of this shape."""
     if tool == CAP:
         return Indenter(shape="cap")
     shape = "flat" if tool.shape == "disc" else "hemisphere"
@@ -106,11 +105,10 @@ def friction_of(bench: Bench) -> Array:
 
 def _glide(bench: Bench, place: tuple[float, float], depth_m: float, way_m: Array) -> Array:
     """Return the force (2, n) [N] on the region, along it and inward, at each distance along it, after a press that
-    rests at ``depth_m``.
-    """
+    rests at ``depth_m``."""
     bench.press(along_m=place[0], across_m=place[1], depth_m=depth_m, speed_m_s=SPEED_M_S, hold_s=HOLD_S)
     _, inward, axis = bench.place(*place)
-    model, data = bench.model, bench._data
+    model, data = bench.model, bench.data
     along, press = (model.joint(name) for name in ("indenter_along", "indenter"))
     held, dt = float(data.qpos[press.qposadr[0]]), model.opt.timestep
     start = float(data.qpos[along.qposadr[0]])

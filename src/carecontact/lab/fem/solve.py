@@ -32,8 +32,6 @@ from carecontact.lab.fem.cases import (
 from carecontact.lab.fem.surface import ACROSS, ALONG, PRESS, Kernel, Spectrum, Surface, around, finest
 from carecontact.lab.validation.result import Array
 
-# Contact of a rigid tool with a surface of known compliance: patches push and never pull.
-
 Mask = npt.NDArray[np.bool_]
 
 TOGETHER, MOST_ROUNDS = 30, 3000
@@ -69,8 +67,6 @@ def balance(compliance: Array, gap: Array, start: Mask | None = None) -> tuple[A
     raise CarecontactError(f"finite elements: contact found no balance in {MOST_ROUNDS} rounds")
 
 
-# A tool that is pressed in and then moves along the surface at the same depth, stuck to it or with friction.
-
 MOST_TURNS, CLOSE = 60, 1e-3
 """Most alternations between pushes and drags in one step, and the change of the total drag, as a share of the total
 friction, at which they end (Panagiotopoulos 1975, Ingenieur-Archiv 44:421)."""
@@ -93,8 +89,7 @@ class Glide:
 
 def stuck_stiffness(surface: Surface, tool: Tool, depth_m: float) -> tuple[float, float]:
     """Return the ratio of force to distance [N/m] along the surface for a tool that is glued to the surface it touches,
-    and the radius [m] of a circle with the area of contact, which is that of a press without friction.
-    """
+    and the radius [m] of a circle with the area of contact, which is that of a press without friction."""
     joint = surface.compliance((PRESS,), (PRESS,))
     _, active = balance(joint, surface.gap(tool, depth_m))
     stuck = Surface(
@@ -183,7 +178,7 @@ def _within(drag: Array, most: Array) -> Array:
 # Quadratic elements work for Poisson's ratios up to 0.49, at which linear ones lock; the energy of volume change is
 # integrated with two points along each side.
 
-NEEDS = "carecontact validate --fem needs scikit-fem: pip install 'carecontact[fem]'"
+NEEDS = "carecontact verify physics --fem needs scikit-fem: pip install 'carecontact[fem]'"
 
 try:
     import skfem
@@ -244,8 +239,7 @@ class Block:
 
 def graded(fine_m: float, fine_to_m: float, end_m: float, growth: float = GROWTH) -> Array:
     """Return coordinates (n,) from 0 to ``end_m``: steps of at most ``fine_m`` up to ``fine_to_m``, then growing
-    ones.
-    """
+    ones."""
     points = list(np.linspace(0.0, min(fine_to_m, end_m), max(1, int(np.ceil(min(fine_to_m, end_m) / fine_m))) + 1))
     step, rest = fine_m, []
     while points[-1] + sum(rest) < end_m - 1e-12:
@@ -289,8 +283,7 @@ def _stiffness(basis: Any, modulus_pa: Array, poisson: float) -> csc_matrix:
 
 def _products(basis: Any) -> Array:
     """Return (elements, i, a, j, b): the integral of the derivative of function i along a times that of function j
-    along b.
-    """
+    along b."""
     slopes = np.stack([np.asarray(function[0].grad) for function in basis.basis])
     weighted = np.einsum("iaeq,eq->eiaq", slopes, np.sqrt(basis.dx))
     count, functions = weighted.shape[:2]
@@ -298,11 +291,9 @@ def _products(basis: Any) -> Array:
     return (flat @ flat.transpose(0, 2, 1)).reshape(count, functions, 3, functions, 3)
 
 
-# The answers of the finite elements, from geometry, materials and one published force: nothing here simulates.
-
 SOLVED_M = np.r_[np.linspace(0.0, 0.001, 11), np.linspace(0.00125, 0.002, 4), np.linspace(0.0024, TRAVEL_M, 10)]
 """Travels past geometric touch at which a press is solved; between them, the force is interpolated."""
-TOLD_M = np.linspace(0.0, TRAVEL_M, 241)
+CURVE_M = np.linspace(0.0, TRAVEL_M, 241)
 PATCHES, FINEST_M, COARSEST_M = 18, 0.00045, 0.0010
 """Number of patches over a tool's reach, and bounds of their side. If a test halves the side, forces change by at most
 1 %."""
@@ -336,13 +327,12 @@ class Sample:
         return np.array(forces)
 
     def curve(self, tool: Tool) -> Curve:
-        force = PchipInterpolator(SOLVED_M, self.press(tool, SOLVED_M))(TOLD_M)
-        return Curve(presses=((TOLD_M, force),))
+        force = PchipInterpolator(SOLVED_M, self.press(tool, SOLVED_M))(CURVE_M)
+        return Curve(presses=((CURVE_M, force),))
 
     def dimple(self, tool: Tool, travel_m: float) -> tuple[Array, Array]:
         """Return the share of the travel by which the surface moves along it at RINGS_M, and by which it sinks around
-        the limb (``Answer``).
-        """
+        the limb (``Answer``)."""
         surface = self._under(tool)
         push, _ = balance(surface.compliance((PRESS,), (PRESS,)), surface.gap(tool, travel_m))
         places, inward, sunk = surface.everywhere(push)

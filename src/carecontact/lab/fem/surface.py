@@ -75,8 +75,7 @@ def _elements(medium: Medium, top_m: float, growth: float) -> list[tuple[float, 
 
 def _element(medium: Medium, low_m: float, high_m: float, modulus: float) -> Array:
     """Return the stiffness (6, 9, 9) of a quadratic element for each of _POWERS, with three nodes from below and (u, v,
-    w) at each.
-    """
+    w) at each."""
     poisson = medium.ground.poisson
     first = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
     second = modulus / (2 * (1 + poisson))
@@ -122,8 +121,6 @@ def _strains(value: Array, slope: Array, share: float, curvature: float) -> Arra
     return strain
 
 
-# Displacement of each point of a surface by a force on another point: the sum of all waves, on a regular grid.
-
 PERIOD_M = 0.3
 """Loads repeat at this distance along the surface, and around a limb at its circumference. The effect of a load on
 bonded tissue fades within about two thicknesses."""
@@ -153,8 +150,7 @@ class Spectrum:
 
     def __call__(self, q: Array, k: Array, a: int, b: int) -> Array:
         """Return the compliance (len(q), len(k)) of displacement ``a`` by traction ``b``, where 0 is u, 1 is v and 2 is
-        w.
-        """
+        w."""
         odd = lambda wave, axis: np.where((a == axis) != (b == axis), np.sign(wave), 1.0)  # noqa: E731
         spline = self._splines[min(a, b), max(a, b)]
         rows, order = np.unique(np.abs(q), return_inverse=True)
@@ -217,8 +213,6 @@ def finest(fine_m: float) -> float:
     return 1.02 * OVERSAMPLED * np.pi / fine_m
 
 
-# The part of a surface that a tool can reach, as square patches and the compliance between them.
-
 PRESS, ALONG, ACROSS = range(3)
 """Directions of displacement and force: inward along the press, along the limb, across it. They are the same for every
 patch, and on a limb they lean from the patches' own."""
@@ -232,8 +226,7 @@ SAMPLES = 4
 @dataclass(frozen=True, kw_only=True)
 class Surface:
     """Patches of a surface. Each also represents its mirror images. Displacement and gap of a patch are means over
-    it.
-    """
+    it."""
 
     kernel: Kernel
     limb_radius_m: float | None
@@ -249,8 +242,7 @@ class Surface:
     @cached_property
     def points_m(self) -> Array:
         """Sample points (m, SAMPLES^2, 3) of each patch: their places along and across, and their depth under the
-        limb's top.
-        """
+        limb's top."""
         inside = (np.arange(SAMPLES) + 0.5) / SAMPLES
         across = (self.places[:, 0, None] + inside) * self.kernel.step_m[0]
         along = (self.places[:, 1, None] + inside) * self.kernel.step_m[1]
@@ -274,8 +266,7 @@ class Surface:
 
     def compliance(self, to: tuple[int, ...], by: tuple[int, ...]) -> Array:
         """Return displacements (len(to) m, len(by) m) in the directions ``to`` by forces in the directions ``by`` on
-        each patch and its mirror images.
-        """
+        each patch and its mirror images."""
         m = len(self.places)
         found = np.zeros((len(to) * m, len(by) * m))
         here = self._directions(self.places)
@@ -301,8 +292,7 @@ class Surface:
 
     def everywhere(self, push: Array) -> tuple[Array, Array, Array]:
         """Return where (n, 2) every patch on the upper side lies, across and along from the press's axis, and how far
-        (n,) it moves under pushes (m,): inward along this axis, and inward along its own normal.
-        """
+        (n,) it moves under pushes (m,): inward along this axis, and inward along its own normal."""
         shape = self.kernel.shape
         index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), 2)
         index -= np.where(index >= np.array(shape) / 2, shape, 0)
@@ -328,8 +318,7 @@ class Surface:
 
     def _directions(self, places: npt.NDArray[np.int64]) -> Array:
         """Return the directions PRESS, ALONG and ACROSS (3, 3, n) at each patch, in its own directions outward, across,
-        along.
-        """
+        along."""
         radius = self.limb_radius_m
         middle = (places[:, 0] + 0.5) * self.kernel.step_m[0]
         angle = np.zeros(len(places)) if radius is None else middle / radius

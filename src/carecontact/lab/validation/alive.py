@@ -1,6 +1,6 @@
 """Checks a person who breathes and moves the arm: what cameras see of a breath, the force that a tool measures
-meanwhile, how far the arm moves, and whether a second run is the same.  The check gives the protocol's person a breath
-and a movement of the arm of known sizes, whatever the protocol states."""
+meanwhile, how far the arm moves, and whether a second run is the same. Breath and movement have known sizes, whatever
+the protocol states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from carecontact.human.hulls import PLATES, plate_body
 from carecontact.human.skeleton import body_name
 from carecontact.interface.geometry import Triangles, matrix_from_quat
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.subject import COMFORT_ARM_DEG, Subject, force_norm, move_to, surface_point
 from carecontact.protocol.person import Alive, Breathing, Repositioning
 from carecontact.sim.rendering import SceneRenderer
@@ -29,11 +29,6 @@ from carecontact.world.randomization import LIFT_RAD
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-# What cameras see of a breath that the person draws: how far the visible skin moves, and what the depth image shows.
-#
-# The breath is driven by simulated time. Everything is compared between its beginning and the end of breathing in, at
-# every vertex of the abdomen's soft region and over the plates of the chest.
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -57,74 +52,62 @@ changes its depth by as much as a breath moves it."""
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """What is seen at one moment."""
-
     skin: Array
     """(V, 3) visible skin in the world [m]"""
     depth: Array
     """(H, W) [m]"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Seen:
-    """What is seen of one breath, part by part."""
-
-    skin_m: dict[str, Array]
-    """Part -> (n,) how far each vertex of the visible skin moved along the slide."""
-    inner: dict[str, Flags]
-    """Part -> (n,) whether the vertex is in the part's inner area."""
-    depth_off_m: dict[str, Array]
-    """Part -> (k,) how much nearer each place of the depth image came, minus what its pixel's ray would meet of skin
-    that moves by the declared size."""
-
-
-def breath_measures(living: Subject, doings: MotionScript) -> Iterator[Measure]:
+def breath_measures(living: Subject, script: MotionScript) -> Iterator[Measure]:
     """Yield what is seen of a breath against its declared size.
 
     Over the rim of the chest's plates, where the movement fades, no size is declared: there the limit does not decide.
     """
-    found = breathe(living, doings)
-    for part, size in zip(PARTS, doings.breath_m, strict=True):
-        name = f"{part}, {doings.breath_hz:g} Hz, {1000 * size:g} mm"
-        off, inner, depth = abs(found.skin_m[part] - size), found.inner[part], abs(found.depth_off_m[part])
-        yield Measure(name=f"{name}: visible skin of the inner area against the declared size", unit="mm",
-                      value=1000 * float(off[inner].max()), limit=SIZE_LIMIT_MM)  # fmt: skip
-        yield Measure(name=f"{name}: visible skin of the whole area against the declared size", unit="mm",
-                      value=1000 * float(off.max()), limit=SIZE_LIMIT_MM, decides=part == REGION)  # fmt: skip
-        yield Measure(name=f"{name}: share of the area within {SIZE_LIMIT_MM:g} mm", unit="%",
-                      value=100 * float((1000 * off <= SIZE_LIMIT_MM).mean()))  # fmt: skip
-        yield Measure(name=f"{name}: depth image, median place against the declared size", unit="mm",
-                      value=1000 * float(np.median(depth)) if depth.size else np.nan, limit=SIZE_LIMIT_MM)  # fmt: skip
-        yield Measure(name=f"{name}: depth image, worst place against the declared size", unit="mm",
-                      value=1000 * float(depth.max(initial=0.0)))  # fmt: skip
-        yield Measure(name=f"{name}: places of the depth image", value=depth.size, limit=10, side="at least")
+    found = breathe(living, script)
+    for part, size in zip(PARTS, script.breath_m, strict=True):
+        skin_m, inner, depth_off_m = found[part]
+        off, depth = 1000 * abs(skin_m - size), 1000 * abs(depth_off_m)
+        name, against = f"{part}, {script.breath_hz:g} Hz, {1000 * size:g} mm", "against the declared size"
+        area, limit = f"{name}: visible skin of the", SIZE_LIMIT_MM
+        median = np.median(depth) if depth.size else np.nan
+        yield measured(f"{area} inner area {against}", off[inner].max(), "mm", at_most=limit)
+        yield measured(f"{area} whole area {against}", off.max(), "mm", at_most=limit, decides=part == REGION)
+        yield measured(f"{name}: share of the area within {limit:g} mm", 100 * (off <= limit).mean(), "%")
+        yield measured(f"{name}: depth image, median place {against}", median, "mm", at_most=limit)
+        yield measured(f"{name}: depth image, worst place {against}", depth.max(initial=0.0), "mm")
+        yield measured(f"{name}: places of the depth image", depth.size, at_least=10)
 
 
-def breathe(living: Subject, doings: MotionScript) -> Seen:
-    """Let the person breathe in once, in simulated time, and look before and after."""
+def breathe(living: Subject, script: MotionScript) -> dict[str, tuple[Array, Flags, Array]]:
+    """Let the person breathe in once, in simulated time, and look before and after.
+
+    Returns for each part how far each vertex of the visible skin moved along the slide (n,) [m], whether it is in the
+    part's inner area (n,), and how much nearer each place of the depth image came (k,) [m], minus what its pixel's ray
+    would meet of skin that moves by the declared size.
+    """
     scene = living.make_scene(living.protocol, target=REGION, skin=True)
     simulation = Simulation(scene)
     simulation.restore(living.at_rest(REGION).integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
-    Life(simulation.model).wake(simulation.data, doings)
+    Life(simulation.model).wake(simulation.data, script)
     areas = {"abdomen": _over_shell(simulation), "chest": _over_plates(simulation)}
-    skin_m, inner, off = {}, {}, {}
+    found = {}
     with SceneRenderer(scene.model, protocol=living.protocol) as renderer:
 
         def look() -> Look:
             mujoco.mj_forward(scene.model, simulation.data)
-            return Look(skin=skin_in_world(scene.model, simulation.data),
-                        depth=renderer.depth(simulation.data, CAMERA).astype(np.float64))  # fmt: skip
+            depth = renderer.depth(simulation.data, CAMERA).astype(np.float64)
+            return Look(skin=skin_in_world(scene.model, simulation.data), depth=depth)
 
         before = look()
-        simulation.advance(round(doings.inspiration_share / doings.breath_hz / scene.model.opt.timestep))
+        simulation.advance(round(script.inspiration_share / script.breath_hz / scene.model.opt.timestep))
         after = look()
-        for part, size in zip(PARTS, doings.breath_m, strict=True):
-            vertices, inner[part] = areas[part]
+        for part, size in zip(PARTS, script.breath_m, strict=True):
+            vertices, inner = areas[part]
             outward = simulation.data.joint(breath_body(part)).xaxis
-            skin_m[part] = (after.skin - before.skin)[vertices] @ outward
-            places = vertices[inner[part]][:: max(1, int(inner[part].sum()) // LOOKS)]
-            off[part] = _depth_off(simulation, renderer, before, after, places, size * outward)
-    return Seen(skin_m=skin_m, inner=inner, depth_off_m=off)
+            places = vertices[inner][:: max(1, int(inner.sum()) // LOOKS)]
+            off = _depth_off(simulation, renderer, before, after, places, size * outward)
+            found[part] = (after.skin - before.skin)[vertices] @ outward, inner, off
+    return found
 
 
 def _over_shell(simulation: Simulation) -> tuple[Indices, Flags]:
@@ -137,19 +120,16 @@ def _over_shell(simulation: Simulation) -> tuple[Indices, Flags]:
 
 
 def _over_plates(simulation: Simulation) -> tuple[Indices, Flags]:
-    """Return the vertices (n,) of the skin over the front of the chest's plates, and which (n,) are over the middle of
-    one."""
+    """Return the vertices (n,) of the skin over the front of the chest's plates, and which are over one's middle."""
     model, data = simulation.model, simulation.data
     front = simulation.data.joint(breath_body("chest")).xaxis
     bodies = [model.body(plate_body(plate.name)).id for plate in PLATES if plate.breathes]
-    hulls = np.concatenate([_world_vertices(model, data, g) for g in range(model.ngeom)
-                            if model.geom_bodyid[g] in bodies])  # fmt: skip
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
+    hulls = np.concatenate([_world_vertices(model, data, geom) for geom in geoms])
     skin = skin_in_world(model, data)
     normals = _normals(skin, np.asarray(model.skin_face))
     ahead = np.flatnonzero(normals @ front > STEEPEST)
-    vertices = ahead[
-        [bool(np.linalg.norm(hulls - at, axis=1).min() < OVER_PLATE_M) for at in skin[ahead]]
-    ]  # fmt: skip
+    vertices = ahead[[bool(np.linalg.norm(hulls - at, axis=1).min() < OVER_PLATE_M) for at in skin[ahead]]]
     away = np.linalg.norm(skin[vertices][:, None, :2] - data.xipos[bodies][None, :, :2], axis=2)
     return vertices, away.min(1) < INNER_PLATE_M
 
@@ -231,22 +211,22 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
     for hz in (BREATH_HZ,) if quick else BREATHS_HZ:
-        doings = replace(BREATHES, breath_hz=hz)
-        measures += breath_measures(living, doings)
-        time, felt, expected = fixed_tool(living, doings, heights=QUICK_HEIGHTS if quick else HEIGHTS)
+        script = replace(BREATHES, breath_hz=hz)
+        measures += breath_measures(living, script)
+        time, felt, expected = fixed_tool(living, script, heights=QUICK_HEIGHTS if quick else HEIGHTS)
         swing, wanted = np.ptp(felt), np.ptp(expected)
         # Held breaths are reached by breathing in.
         off, inward = 100 * abs(felt - expected) / wanted, time <= IN_SHARE / hz
-        name = f"fixed tool, {hz:g} Hz"
+        name, limit = f"fixed tool, {hz:g} Hz", FORCE_LIMIT_PERCENT
+        largest = f"{name}: largest deviation of the force from that of held breaths, of its swing"
+        swings = f"{name}: deviation of the swing of the force from that of held breaths"
+        out = f"{name}: the same while breathing out, where friction has turned round"
         measures += [
-            Measure(name=f"{name}: largest deviation of the force from that of held breaths, of its swing", unit="%",
-                    value=float(off[inward].max()), limit=FORCE_LIMIT_PERCENT),
-            Measure(name=f"{name}: the same while breathing out, where friction has turned round", unit="%",
-                    value=float(off[~inward].max())),
-            Measure(name=f"{name}: deviation of the swing of the force from that of held breaths", unit="%",
-                    value=float(100 * abs(swing / wanted - 1)), limit=FORCE_LIMIT_PERCENT),
-            Measure(name=f"{name}: swing of the force", value=float(swing), unit="N", limit=0.5, side="at least"),
-        ]  # fmt: skip
+            measured(largest, off[inward].max(), "%", at_most=limit),
+            measured(out, off[~inward].max(), "%"),
+            measured(swings, 100 * abs(swing / wanted - 1), "%", at_most=limit),
+            measured(f"{name}: swing of the force", swing, "N", at_least=0.5),
+        ]
         curves[f"{hz:g} Hz"] = np.stack([time, felt, expected])
     measures += [*arm(living), *repeatability(living)]
     return CheckResult(check="alive", title=TITLE, measures=tuple(measures), curves=curves)
@@ -258,12 +238,9 @@ def alive(subject: Subject) -> Subject:
     return subject.variant(person=subject.protocol.person.model_copy(update={"alive": asked}))
 
 
-def fixed_tool(living: Subject, doings: MotionScript, *, heights: int) -> tuple[Array, Array, Array]:
-    """Measure the force on a tool that stays in its place through one breath.
-
-    Args:
-        doings: the breath.
-        heights: number of heights at which a breath is held for comparison.
+def fixed_tool(living: Subject, script: MotionScript, *, heights: int) -> tuple[Array, Array, Array]:
+    """Measure the force on a tool that stays in its place through one breath; ``heights`` is the number of heights at
+    which a breath is held for comparison.
 
     Returns three arrays (n,): time [s], force [N], and the force that held breaths give at the same height [N].
     """
@@ -272,22 +249,22 @@ def fixed_tool(living: Subject, doings: MotionScript, *, heights: int) -> tuple[
     held = []
     for height in np.linspace(0.0, 1.0, heights):
         simulation.restore(begin, comfort_arm_deg=COMFORT_ARM_DEG)
-        _hold(simulation, doings, float(height))
+        _hold(simulation, script, float(height))
         held.append(_force(simulation.advance(round(STILL_S / simulation.model.opt.timestep)))[-1])
     simulation.restore(begin, comfort_arm_deg=COMFORT_ARM_DEG)
-    Life(simulation.model).wake(simulation.data, doings)
-    steps = round(1 / doings.breath_hz / simulation.model.opt.timestep)
+    Life(simulation.model).wake(simulation.data, script)
+    steps = round(1 / script.breath_hz / simulation.model.opt.timestep)
     force = _force(simulation.advance(steps))
     time = (1 + np.arange(steps)) * simulation.model.opt.timestep
-    height = [breath(doings, t)[0] for t in time]
+    height = [breath(script, t)[0] for t in time]
     return time, force, np.interp(height, np.linspace(0.0, 1.0, heights), held)
 
 
 def _pressed(living: Subject) -> Simulation:
     """Return the person at the end of breathing out, with a tool in the skin that stays in its place."""
     simulation = living.hovering(REGION)
-    move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
-    move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
+    for _ in range(2):
+        move_to(simulation, surface_point(simulation, REGION) - [0.0, 0.0, DEEP_M], seconds=STILL_S)
     for joint in simulation.robot.joints:
         dof = int(simulation.model.joint(joint).dofadr[0])
         simulation.model.dof_armature[dof] = FROZEN
@@ -295,12 +272,12 @@ def _pressed(living: Subject) -> Simulation:
     return simulation
 
 
-def _hold(simulation: Simulation, doings: MotionScript, height: float) -> None:
+def _hold(simulation: Simulation, script: MotionScript, height: float) -> None:
     """Let the person breathe in to a height, from 0 (breathed out) to 1 (breathed in), and hold the breath there."""
     share = float(np.arccos(1 - 2 * height)) / np.pi
     life = Life(simulation.model)
-    life.wake(simulation.data, doings)
-    simulation.advance(round(share * IN_SHARE / doings.breath_hz / simulation.model.opt.timestep))
+    life.wake(simulation.data, script)
+    simulation.advance(round(share * IN_SHARE / script.breath_hz / simulation.model.opt.timestep))
     life.wake(simulation.data, MotionScript(inspiration_share=IN_SHARE, phase=share * IN_SHARE, breath_m=BREATH_M))
 
 
@@ -309,8 +286,8 @@ def _force(samples: list[Samples]) -> Array:
 
 
 def arm(living: Subject) -> list[Measure]:
-    """Return how much the distance that the wrist moves differs from the wanted one, both for the arm as it was laid
-    down and after something pushed it aside."""
+    """Return how much the distance that the wrist moves differs from the wanted one, for the arm as it was laid down
+    and after something pushed it aside."""
     found: list[Measure] = []
     for name, aside_rad in (("as it was laid", 0.0), ("after a push", ASIDE_RAD)):
         simulation = living.at_rest(REGION)
@@ -325,10 +302,8 @@ def arm(living: Subject) -> list[Measure]:
         before = wrist.xpos.copy()
         simulation.advance(round((ONSET_S + MOVE_S + LET_GO_S - simulation.time_s) / dt))
         moved = float(np.hypot(*(wrist.xpos - before)[:2]))
-        found.append(
-            Measure(name=f"arm, {name}: way of the wrist against the wanted one", unit="mm",
-                    value=float(1000 * abs(moved - WAY_M)), limit=WAY_LIMIT_MM)
-        )  # fmt: skip
+        way = f"arm, {name}: way of the wrist against the wanted one"
+        found.append(measured(way, 1000 * abs(moved - WAY_M), "mm", at_most=WAY_LIMIT_MM))
     return found
 
 
@@ -354,11 +329,9 @@ def repeatability(living: Subject) -> list[Measure]:
     mujoco.mj_setState(third.model, third.data, middle, int(mujoco.mjtState.mjSTATE_INTEGRATION))
     mujoco.mj_step(third.model, third.data, nstep=steps[1])
     wanted = first.integration_state()
-    return [
-        Measure(name=f"numbers of the state that differ in {name}", limit=0.0,
-                value=float((other.integration_state() != wanted).sum()))
-        for name, other in (("a second run", second), ("a run that was restored in its middle", third))
-    ]  # fmt: skip
+    others = {"a second run": second, "a run that was restored in its middle": third}
+    different = {name: (other.integration_state() != wanted).sum() for name, other in others.items()}
+    return [measured(f"numbers of the state that differ in {name}", n, at_most=0.0) for name, n in different.items()]
 
 
 def draw(result: CheckResult, figure: Figure) -> None:

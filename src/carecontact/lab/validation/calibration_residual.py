@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.rig import ABDOMEN, FITTED, FOREARM, REFERENCES, SPEED_M_S, Reference, person_bench
 from carecontact.lab.validation.subject import Subject
 from carecontact.protocol.overrides import load_tissue_set
@@ -23,53 +25,46 @@ DEPTH_SHARES = (0.1, 0.25, 0.5, 1.0)
 """Depths, as shares of the deepest, at which the error is also given as a share of the force there: NRMSE is relative
 to the largest force and therefore tolerates large errors at small depths."""
 QUICK_PLACES, QUICK_UNFITTED = 2, (FOREARM, ABDOMEN)
+Places = tuple[tuple[float, float], ...]
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
-    measures: list[Measure] = []
     curves: dict[str, Array] = {}
     fitted_to = applying(subject)
-    measures.append(Measure(name="published curves that apply to this tissue", value=float(len(fitted_to))))
+    measures = [measured("published curves that apply to this tissue", len(fitted_to))]
     for published in (fitted_to or QUICK_UNFITTED) if quick else REFERENCES:
-        reference = published.times(_share(subject, published.region))
-        places = held_out_m(reference.region)[: QUICK_PLACES if quick else None]
-        curve = responses(subject, reference, places)
-        fitted = published in fitted_to
-        scale = reference.force_n.max()
-        each = 100 * np.sqrt(np.mean((curve - reference.force_n) ** 2, axis=1)) / scale
-        mean = curve.mean(0)
-        inside = (mean >= reference.low_n) & (mean <= reference.high_n)
-        kind = "held-out places" if fitted else "not fitted to"
-        measures += [
-            Measure(name=f"{reference.name}, {kind}: NRMSE of the mean curve", unit="%",
-                    value=float(100 * np.sqrt(np.mean((mean - reference.force_n) ** 2)) / scale),
-                    limit=NRMSE_LIMIT_PERCENT if fitted else None),
-            Measure(name=f"{reference.name}, {kind}: NRMSE of the worst place", value=float(each.max()), unit="%",
-                    limit=WORST_LIMIT_PERCENT if fitted else None),
-            Measure(name=f"{reference.name}, {kind}: share of depths inside people's P5-P95", unit="%",
-                    value=float(100 * inside[1:].mean()), limit=100.0, side="at least", decides=False),
-            *(Measure(name=f"{reference.name}: deviation from the reference at {share:.0%} of its depth", unit="%",
-                      value=float(100 * (np.interp(share * reference.depth_m[-1], reference.depth_m, mean)
-                                         / np.interp(share * reference.depth_m[-1], reference.depth_m,
-                                                     reference.force_n) - 1)))
-              for share in DEPTH_SHARES),
-            Measure(name=f"{reference.name}: places where the force falls with depth",
-                    value=float((np.diff(curve, axis=1) <= 0).any(axis=1).sum()), limit=0.0),
-        ]  # fmt: skip
-        curves |= {f"{reference.name}/places": curve}
+        # The curves come from people of every build, and the rows that were fitted to them count as those of
+        # man-adult: the middle curve is scaled by what follows from this body's build, the band is not.
+        region = published.region
+        share = subject.tissue(region).a_n_m3 / subject.protocol.person.tissue[region].a_n_m3
+        reference = replace(published, force_n=share * published.force_n)
+        curve = responses(subject, reference, held_out_m(region)[: QUICK_PLACES if quick else None])
+        curves[f"{reference.name}/places"] = curve
+        measures += _residuals(reference, curve, fitted=published in fitted_to)
     return CheckResult(check="calibration-residual", title=TITLE, measures=tuple(measures), curves=curves)
 
 
-def _share(subject: Subject, region: str) -> float:
-    """Return the factor on a row's law that follows from this body's build.
+def _residuals(reference: Reference, curve: Array, *, fitted: bool) -> Iterator[Measure]:
+    """Yield how far the forces (places, n) [N] are from the reference; limits hold for the curves of the fit."""
+    wanted, mean = reference.force_n, curve.mean(0)
+    each = 100 * np.sqrt(np.mean((curve - wanted) ** 2, axis=1)) / wanted.max()
+    of_mean = 100 * np.sqrt(np.mean((mean - wanted) ** 2)) / wanted.max()
+    inside = (mean >= reference.low_n) & (mean <= reference.high_n)
+    name = f"{reference.name}, {'held-out places' if fitted else 'not fitted to'}"
+    limit, worst = (NRMSE_LIMIT_PERCENT, WORST_LIMIT_PERCENT) if fitted else (None, None)
+    yield measured(f"{name}: NRMSE of the mean curve", of_mean, "%", at_most=limit)
+    yield measured(f"{name}: NRMSE of the worst place", each.max(), "%", at_most=worst)
+    people = f"{name}: share of depths inside people's P5-P95"
+    yield measured(people, 100 * inside[1:].mean(), "%", at_least=100.0, decides=False)
+    for share in DEPTH_SHARES:
+        here, there = (np.interp(share * reference.depth_m[-1], reference.depth_m, of) for of in (mean, wanted))
+        where = f"deviation from the reference at {share:.0%} of its depth"
+        yield measured(f"{reference.name}: {where}", 100 * (here / there - 1), "%")
+    falls = (np.diff(curve, axis=1) <= 0).any(axis=1).sum()
+    yield measured(f"{reference.name}: places where the force falls with depth", falls, at_most=0.0)
 
-    The curves come from people of every build, and the rows that were fitted to them count as those of man-adult. The
-    band from P5 to P95 is not scaled.
-    """
-    return subject.tissue(region).a_n_m3 / subject.protocol.person.tissue[region].a_n_m3
 
-
-def held_out_m(region: str) -> tuple[tuple[float, float], ...]:
+def held_out_m(region: str) -> Places:
     """Return places (along, across) [m] in the region's frame that the fit did not use; empty for a rigid region."""
     shape = REGIONS[region].shape
     return () if shape is None else shape.held_out_m
@@ -88,7 +83,7 @@ def applying(subject: Subject) -> tuple[Reference, ...]:
     return tuple(found.values())
 
 
-def responses(subject: Subject, reference: Reference, places: tuple[tuple[float, float], ...]) -> Array:
+def responses(subject: Subject, reference: Reference, places: Places) -> Array:
     """Return the force (places, n) [N] of the person at the reference's depths, with its indenter and speed."""
     bench = person_bench(subject, reference.region, reference.indenter)
     return np.array([bench.response(reference.depth_m, along_m=x, across_m=y, speed_m_s=SPEED_M_S) for x, y in places])

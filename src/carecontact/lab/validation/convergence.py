@@ -3,9 +3,9 @@ tool's size."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -13,7 +13,7 @@ import numpy as np
 
 from carecontact.errors import ConfigError, SceneError
 from carecontact.human.shell import Shell
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.rig import (
     ABDOMEN,
     FOREARM,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "Convergence in time step and mesh"
-SCORES = ("c1_n", "c1_filtered_n", "c5_n", "stroke_m")
+MOTIONS = (PRESS, SCRUB)
 NAMES = {"c1_n": "C1", "c1_filtered_n": "C1 at 100 Hz", "c5_n": "C5", "stroke_m": "stroke"}
 STEP_LIMIT_PERCENT = {"c1_n": 2.0, "c1_filtered_n": 2.0, "c5_n": 5.0, "stroke_m": 2.0}
 MESH_LIMIT_PERCENT = 5.0
@@ -56,6 +56,7 @@ HELD_OUT_M: Places = ((-0.018, -0.006), (0.034, 0.002))
 """Places at which the two meshes are then compared."""
 TOOL_DEPTHS_M = np.linspace(0.001, 0.008, 8)
 RECALIBRATIONS = 2
+LAWS = ("same law", "law fitted anew")
 RADIUS_FACTORS = (0.5, 1.0, 2.0)
 TREND_DEPTH_M = 0.004
 
@@ -83,56 +84,44 @@ TRENDS = {
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
-    dt = subject.protocol.physics.dt_s
-    regions = subject.regions(quick=quick)
-    motions = (SCRUB,) if quick else (PRESS, SCRUB)
+    dt, regions, motions = subject.protocol.physics.dt_s, subject.regions(quick=quick), (SCRUB,) if quick else MOTIONS
     shipped = {region: _scores(subject, region, motions) for region in regions}
     # Twice the protocol's step is the fast mode, which must give the same scores.
     for factor in (0.5,) if quick else (0.5, 2.0):
         other = subject.with_dt(dt * factor)
         for region in regions:
             what = f"{region}: time step {1000 * dt:g} to {1000 * dt * factor:g} ms"
-            scores = _scores(other, region, motions)
-            measures += [
-                Measure(name=f"{what}, {motion} {NAMES[field]}", value=change, unit="%",
-                        limit=STEP_LIMIT_PERCENT[field])
-                for motion, field, change in _changes(shipped[region], scores)
-            ]  # fmt: skip
-    if not quick:
-        for reference in MESH_REFERENCES:
-            try:
-                measures += mesh(subject, reference, shipped[reference.region], curves)
-                measures += finest_scrub(subject, reference.region)
-            except (SceneError, ConfigError) as error:
-                # Without this measure, the others are still useful.
-                name = f"{reference.region}: finer mesh, not measured: {error}"
-                measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MESH_LIMIT_PERCENT))
-        for name, tool_size in TRENDS.items():
-            radii, forces = tool_size.radius_m * np.array(RADIUS_FACTORS), trend(subject, tool_size)
-            layer = "" if tool_size.layer is None else " (bonded layer: {} to {})".format(*tool_size.layer)
-            measures += [
-                Measure(name=f"tool radius x 0.5, 1, 2, {name}: exponent of force{layer}",
-                        value=float(np.polyfit(np.log(radii), np.log(forces), 1)[0])),
-            ]  # fmt: skip
-            curves[f"trend/{name}"] = np.stack([1000 * radii, forces])
+            for motion, field, change in _changes(shipped[region], _scores(other, region, motions)):
+                limit = STEP_LIMIT_PERCENT[field]
+                measures.append(measured(f"{what}, {motion} {NAMES[field]}", change, "%", at_most=limit))
+    for reference in () if quick else MESH_REFERENCES:
+        try:
+            measures += mesh(subject, reference, shipped[reference.region], curves)
+            measures += finest_scrub(subject, reference.region)
+        except (SceneError, ConfigError) as error:
+            # Without this measure, the others are still useful.
+            name = f"{reference.region}: finer mesh, not measured: {error}"
+            measures.append(measured(name, np.nan, "%", at_most=MESH_LIMIT_PERCENT))
+    for name, size in () if quick else TRENDS.items():
+        radii, forces = size.radius_m * np.array(RADIUS_FACTORS), trend(subject, size)
+        layer = "" if size.layer is None else " (bonded layer: {} to {})".format(*size.layer)
+        exponent = np.polyfit(np.log(radii), np.log(forces), 1)[0]
+        measures.append(measured(f"tool radius x 0.5, 1, 2, {name}: exponent of force{layer}", exponent))
+        curves[f"trend/{name}"] = np.stack([1000 * radii, forces])
     curves["changes"] = np.array([[m.value, m.limit or 0.0] for m in measures if m.limit is not None])
     return CheckResult(check="convergence", title=TITLE, measures=tuple(measures), curves=curves)
 
 
 def _scores(subject: Subject, region: str, motions: Sequence[Motion]) -> dict[str, Scores]:
-    return {b.name: motion_scores(subject, region, b) for b in motions}
+    return {motion.name: motion_scores(subject, region, motion) for motion in motions}
 
 
-def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> list[tuple[str, str, float]]:
-    """Return triples of motion, score and change [%]; a press has no stroke."""
-    out = []
-    for motion in before:
-        for field in SCORES:
-            if motion == PRESS.name and field == "stroke_m":
-                continue
+def _changes(before: dict[str, Scores], after: dict[str, Scores]) -> Iterator[tuple[str, str, float]]:
+    """Yield triples of motion, score and change [%]; a press has no stroke."""
+    for motion, field in product(before, NAMES):
+        if motion != PRESS.name or field != "stroke_m":
             old, new = getattr(before[motion], field), getattr(after[motion], field)
-            out.append((motion, field, float(100 * abs(new / old - 1))))
-    return out
+            yield motion, field, float(100 * abs(new / old - 1))
 
 
 def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curves: dict[str, Array]) -> list[Measure]:
@@ -141,48 +130,38 @@ def mesh(subject: Subject, reference: Reference, coarse: dict[str, Scores], curv
 
     A law belongs to a mesh, because a coarser mesh spreads a small tool's load farther, for which the fit compensates.
     """
-    region = reference.region
+    region, indenter, depths = reference.region, reference.indenter, reference.depth_m[1:]
     tissue = subject.tissue(region)
-    finer = tissue.model_copy(
-        update={"spacing_m": FINER * tissue.spacing_m, "coarse_spacing_m": FINER * tissue.coarse_spacing_m}
-    )
-    depths = reference.depth_m[1:]
-    fine = subject.with_tissue(region, finer)
-    shipped = declared_bench(subject, region, reference.indenter)
-    wanted = _mean_response(shipped, depths, HELD_OUT_M)
-    bench = declared_bench(fine, region, reference.indenter)
-    same_law = _mean_response(bench, depths, HELD_OUT_M)
+    spacing = {name: FINER * getattr(tissue, name) for name in ("spacing_m", "coarse_spacing_m")}
+    fine = subject.with_tissue(region, tissue.model_copy(update=spacing))
+    shipped, bench = (declared_bench(person, region, indenter) for person in (subject, fine))
+    wanted, same_law = (_mean_response(of, depths, HELD_OUT_M) for of in (shipped, bench))
     fitted = recalibrated(bench, depths, _mean_response(shipped, depths, PLACES_M))
     new_law = _mean_response(bench, depths, HELD_OUT_M)
-    at_tool = _mean_response(declared_bench(subject, region, tool(subject)), TOOL_DEPTHS_M, HELD_OUT_M)
-    fine_tool = declared_bench(fine, region, tool(subject))
-    tool_same = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
+    shipped_tool, fine_tool = (declared_bench(person, region, tool(subject)) for person in (subject, fine))
+    at_tool, tool_same = (_mean_response(of, TOOL_DEPTHS_M, HELD_OUT_M) for of in (shipped_tool, fine_tool))
     fine_tool.set_law(fitted)
     tool_new = _mean_response(fine_tool, TOOL_DEPTHS_M, HELD_OUT_M)
-    scene = _scores(fine.with_tissue(region, fitted), region, (PRESS, SCRUB))
-    curves |= {
-        f"mesh/{region}/reference": 1.0 * np.stack([1000 * depths, wanted, same_law, new_law]),
-        f"mesh/{region}/tool": np.stack([1000 * TOOL_DEPTHS_M, at_tool, tool_same, tool_new]),
+    scene = _scores(fine.with_tissue(region, fitted), region, MOTIONS)
+    curves[f"mesh/{region}/reference"] = np.stack([1000 * depths, wanted, same_law, new_law])
+    curves[f"mesh/{region}/tool"] = np.stack([1000 * TOOL_DEPTHS_M, at_tool, tool_same, tool_new])
+    same, refit = (f"{region}: mesh of {1000 * spacing['spacing_m']:g} mm, {law}" for law in LAWS)
+    rows = {
+        f"{same}, calibration indenter": _nrmse(same_law, wanted),
+        f"{same}, tool": _nrmse(tool_same, at_tool),
+        f"{refit}, calibration indenter": _nrmse(new_law, wanted),
+        f"{refit}, tool": _nrmse(tool_new, at_tool),
     }
-    what = f"{region}: mesh of {1000 * finer.spacing_m:g} mm"
-
-    def line(name: str, value: float, *, decides: bool = True) -> Measure:
-        return Measure(name=f"{what}, {name}", value=value, unit="%", limit=MESH_LIMIT_PERCENT, decides=decides)
-
+    rows |= {f"{refit}, {motion} {NAMES[field]}": change for motion, field, change in _changes(coarse, scene)}
     return [
-        line("same law, calibration indenter", _nrmse(same_law, wanted), decides=False),
-        line("same law, tool", _nrmse(tool_same, at_tool), decides=False),
-        line("law fitted anew, calibration indenter", _nrmse(new_law, wanted)),
-        line("law fitted anew, tool", _nrmse(tool_new, at_tool)),
-        *(line(f"law fitted anew, {motion} {NAMES[field]}", change)
-          for motion, field, change in _changes(coarse, scene)),
-    ]  # fmt: skip
+        measured(name, value, "%", at_most=MESH_LIMIT_PERCENT, decides=name.startswith(refit))
+        for name, value in rows.items()
+    ]
 
 
 def finest_scrub(subject: Subject, region: str) -> list[Measure]:
     """Scrub the held region with the robot's tool at one depth, on the shipped mesh and on one so fine that it
-    approximates a continuous surface, both with the shipped law.
-    """
+    approximates a continuous surface, both with the shipped law."""
     tissue = subject.tissue(region)
     coarse = min(tissue.coarse_spacing_m, tissue.coarse_spacing_m * FINEST_M / tissue.spacing_m)
     finest = subject.with_tissue(region, tissue.model_copy(update={"spacing_m": FINEST_M, "coarse_spacing_m": coarse}))
@@ -191,16 +170,15 @@ def finest_scrub(subject: Subject, region: str) -> list[Measure]:
     skin = _over_the_skin(shell, *at)
     (peak, spread), (wanted_peak, wanted_spread) = (_held_scrub(s, region, at, skin) for s in (subject, finest))
     what = f"{region}: scrub {1000 * SCRUB_DEPTH_M:g} mm deep, mesh of {1000 * FINEST_M:g} mm, same law"
+    changes = {"C1": peak / wanted_peak, "C5": spread / wanted_spread}
     return [
-        Measure(name=f"{what}, {name}", value=float(100 * abs(got / wanted - 1)), unit="%", limit=MESH_LIMIT_PERCENT)
-        for name, got, wanted in (("C1", peak, wanted_peak), ("C5", spread, wanted_spread))
-    ]  # fmt: skip
+        measured(f"{what}, {name}", 100 * abs(change - 1), "%", at_most=MESH_LIMIT_PERCENT)
+        for name, change in changes.items()
+    ]
 
 
 def _over_the_skin(shell: Shell, point: Array, frame: Array) -> np.polynomial.Polynomial:
-    """Return the height [m] of the undeformed skin over the region's middle as a function of the place along the region
-    [m].
-    """
+    """Return the height [m] of the undeformed skin over the region's middle by the place along the region [m]."""
     x, y, z = ((shell.vertices - point) @ frame).T
     line = (np.abs(y) < 0.012) & (np.abs(x) < SCRUB_HALF_M + 0.02) & (shell.normals @ frame[:, 2] > 0)
     return np.polynomial.Polynomial.fit(x[line], z[line], 4)
@@ -210,8 +188,7 @@ def _held_scrub(
     subject: Subject, region: str, at: tuple[Array, Array], skin: np.polynomial.Polynomial
 ) -> tuple[float, float]:
     """Return the largest force [N] and the standard deviation [N] of the force in contact, while the tool presses down
-    and goes once back and forth.
-    """
+    and goes once back and forth."""
     rig = Rig(subject, region, robot_tool(subject), joints="slides", mass_kg=HEAVY_KG, at=at)
     dt, data = rig.model.opt.timestep, rig.data
     down = np.arange(0.0, SCRUB_DEPTH_M + SCRUB_FROM_M, SCRUB_M_S / 2 * dt)
@@ -247,9 +224,8 @@ def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
 
     def law(p: Array) -> Tissue:
         first, second = np.exp(p)
-        return start.model_copy(update={
-            "a_n_m3": start.a_n_m3 * first, "b_n_m4": start.b_n_m4 * first, "c_n_m5": start.c_n_m5 * second,
-        })  # fmt: skip
+        factors = {"a_n_m3": first, "b_n_m4": first, "c_n_m5": second}
+        return start.model_copy(update={name: getattr(start, name) * factor for name, factor in factors.items()})
 
     def response(p: Array) -> Array:
         bench.set_law(law(p))
@@ -266,66 +242,68 @@ def recalibrated(bench: Bench, depths: Array, wanted: Array) -> Tissue:
 
 def trend(subject: Subject, size: Trend) -> Array:
     """Return the force (3,) [N] at TREND_DEPTH_M for RADIUS_FACTORS."""
-    return np.array([
-        declared_bench(subject, size.region, Indenter(shape=size.shape, size_m=size.radius_m * factor)).response(
-            np.array([TREND_DEPTH_M])
-        )[0]
-        for factor in RADIUS_FACTORS
-    ])  # fmt: skip
+    indenters = [Indenter(shape=size.shape, size_m=size.radius_m * factor) for factor in RADIUS_FACTORS]
+    benches = [declared_bench(subject, size.region, indenter) for indenter in indenters]
+    return np.array([bench.response(np.array([TREND_DEPTH_M]))[0] for bench in benches])
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
     regions = [r.region for r in MESH_REFERENCES if f"mesh/{r.region}/tool" in result.curves]
-    figure.set_size_inches(2.4 + 2.3 * (len(regions) + bool(regions)), 2.7)
-    axes = np.atleast_1d(figure.subplots(1, 1 + len(regions) + bool(regions)))
+    panels = 1 + len(regions) + bool(regions)
+    figure.set_size_inches(0.1 + 2.3 * panels, 2.7)
+    axes = np.atleast_1d(figure.subplots(1, panels))
     _draw_step(result.measures, axes[0])
     for panel, region in zip(axes[1:], regions, strict=False):
-        for kind, style in (("reference", "-"), ("tool", "--")):
+        highest = 0.0
+        for kind, style, where in (("reference", "-", "calibration indenter"), ("tool", "--", "tool")):
             depth, shipped, same, fitted = result.curves[f"mesh/{region}/{kind}"]
-            where = "calibration indenter" if kind == "reference" else "tool"
+            same_law, refit = ("finer, same law", "finer, fitted") if kind == "reference" else (None, None)
             panel.plot(depth, shipped, style, color="k", label=f"shipped mesh, {where}")
-            panel.plot(depth, same, style, color="C1", lw=0.9, label="finer, same law" if kind == "reference" else None)
-            panel.plot(depth, fitted, style, color="C0", lw=0.9, label="finer, fitted" if kind == "reference" else None)
-        # A press that diverged must not hide the results of the others.
-        highest = max(result.curves[f"mesh/{region}/{kind}"][1].max() for kind in ("reference", "tool"))
+            panel.plot(depth, same, style, color="C1", lw=0.9, label=same_law)
+            panel.plot(depth, fitted, style, color="C0", lw=0.9, label=refit)
+            # A press that diverged must not hide the results of the others.
+            highest = max(highest, shipped.max())
         panel.set(xlabel="indentation [mm]", title=region.replace("_", " "), ylim=(0, 1.25 * highest))
     if regions:
         axes[1].set_ylabel("force [N]")
         figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-        for name, size in TRENDS.items():
-            radius, force = result.curves[f"trend/{name}"]
-            (line,) = axes[-1].loglog(radius, force, "o-", ms=3, label=name)
-            for exponent in size.layer or ():
-                axes[-1].loglog(
-                    radius, force[1] * (radius / radius[1]) ** exponent, ":", color=line.get_color(), lw=0.8
-                )
-        highest = max(result.curves[f"trend/{name}"][1].max() for name in TRENDS)
-        axes[-1].set(xlabel="tool radius [mm]", ylabel="force [N]", title="tool size (dotted: layer)")
-        axes[-1].set_ylim(None, 20 * highest)
-        axes[-1].minorticks_off()
-        axes[-1].set_xticks([5, 10, 20], ["5", "10", "20"])
-        axes[-1].set_yticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
-        axes[-1].legend(loc="upper left")
+        _draw_trends(result.curves, axes[-1])
+
+
+def _draw_trends(curves: Mapping[str, Array], axes: Axes) -> None:
+    highest = 0.0
+    for name, size in TRENDS.items():
+        radius, force = curves[f"trend/{name}"]
+        (line,) = axes.loglog(radius, force, "o-", ms=3, label=name)
+        for exponent in size.layer or ():
+            axes.loglog(radius, force[1] * (radius / radius[1]) ** exponent, ":", color=line.get_color(), lw=0.8)
+        highest = max(highest, force.max())
+    axes.set(xlabel="tool radius [mm]", ylabel="force [N]", title="tool size (dotted: layer)")
+    axes.set_ylim(None, 20 * highest)
+    axes.minorticks_off()
+    axes.set_xticks([5, 10, 20], ["5", "10", "20"])
+    axes.set_yticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
+    axes.legend(loc="upper left")
 
 
 def _draw_step(measures: Sequence[Measure], axes: Axes) -> None:
-    rows = [m for m in measures if "time step" in m.name]
-    names = [m.name.partition(", ")[2] for m in rows]
-    labels = list(dict.fromkeys(names))
-    for region in dict.fromkeys(m.name.partition(":")[0] for m in rows):
-        mine = [m for m in rows if m.name.startswith(f"{region}:")]
-        at = [labels.index(m.name.partition(", ")[2]) for m in mine]
+    rows = [(*m.name.partition(":")[::2], m) for m in measures if "time step" in m.name]
+    labels = list(dict.fromkeys(rest.partition(", ")[2] for _, rest, _ in rows))
+    limits, regions = np.zeros(len(labels)), list(dict.fromkeys(region for region, *_ in rows))
+    for region in regions:
+        mine = [(labels.index(rest.partition(", ")[2]), m) for its, rest, m in rows if its == region]
+        for at, m in mine:
+            limits[at] = m.limit or 0.0
+        at, values = np.array([(at, m.value) for at, m in mine]).T
         half = len(labels)
-        if mine:
-            (dots,) = axes.plot([m.value for m in mine[:half]], at[:half], "o", ms=4, label=region.replace("_", " "))
-            axes.plot([m.value for m in mine[half:]], at[half:], "x", ms=4, color=dots.get_color())
-    limits = {m.name.partition(", ")[2]: m.limit or 0.0 for m in rows}
-    axes.plot([limits[label] for label in labels], range(len(labels)), "|", color="0.3", ms=12)
+        (dots,) = axes.plot(values[:half], at[:half], "o", ms=4, label=region.replace("_", " "))
+        axes.plot(values[half:], at[half:], "x", ms=4, color=dots.get_color())
+    axes.plot(limits, range(len(labels)), "|", color="0.3", ms=12)
     axes.set_yticks(range(len(labels)), labels)
-    both = len(rows) > len(labels) * len({m.name.partition(":")[0] for m in rows})
+    both = len(rows) > len(labels) * len(regions)
     title = "half (o), twice (x) the step" if both else "half the step"
     # The names need room on the right, beyond the largest change.
-    farthest = max(m.value for m in rows) if rows else 0.0
-    axes.set(xlabel="change [%] and its limit (|)", title=title, xlim=(0, 2.2 * max(farthest, *limits.values(), 1.0)))
+    farthest = max([m.value for *_, m in rows] + [1.0, *limits])
+    axes.set(xlabel="change [%] and its limit (|)", title=title, xlim=(0, 2.2 * farthest))
     axes.invert_yaxis()
     axes.legend(loc="upper right")

@@ -1,4 +1,4 @@
-"""The compiled world has the masses, joints, bone cores and skin that the tables declare.  All of it is read from what
+"""The compiled world has the masses, joints, bone cores and skin that the tables declare. All of it is read from what
 MuJoCo does with the model and not from the code that wrote the model: masses and centres from kinematics, springs and
 dampers from torques, cores from rays, inertia and damper of the skin from its free motion."""
 
@@ -18,7 +18,7 @@ from carecontact.human.hulls import plate_body, plates_of
 from carecontact.human.shell import Shell
 from carecontact.human.skeleton import body_name, cubic_nm_rad3, end_stop_nm, stop_name
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.subject import Subject
 from carecontact.tissue.plugin import Readings
 from carecontact.world.scene import Scene
@@ -26,12 +26,6 @@ from carecontact.world.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-# The skin of a region, kicked and left alone: inertia, damper and spring that the compiled tissue computes with.
-#
-# If all vertices move alike and nothing touches them, neighbours exert no force, and each vertex follows m w'' + d w' +
-# a w = 0. The kick dies within some m / d, which shows the inertia; what it displaced returns within some d / a, which
-# shows spring and damper. In slow contact, the inertia shows nowhere.
 
 KICK_M_S = 0.02
 """Speed of the kick; the skin moves by some 10 um, so that its spring is linear."""
@@ -43,8 +37,56 @@ SWEEPS = 500
 LIMIT_PERCENT = 1.0
 
 
+TITLE = "Masses, joints, cores and skin as declared"
+TURN_RAD, SPEED_RAD_S = 0.05, 1.0
+"""Angle and speed by which each hinge is turned to read its spring and its damper, which are linear."""
+PAST_RAD = 0.06
+"""Angle past its range to which each hinge is turned to read its end stop."""
+LONGEST_RAY_M = 0.15
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    scene = subject.scene("forearm")
+    masses, centres = segment_masses(scene)
+    springs, dampers, ranges, stops = joint_constants(scene)
+    measures = [
+        measured("mass of the person", masses[:, 0].sum(), "kg"),
+        _off("deviation of the person's mass from the declared one", masses.sum(0, keepdims=True)),
+        _off("mass of a segment, largest difference", masses),
+        measured("centre of mass of a segment, largest distance", 1000 * centres.max(), "mm", at_most=1.0),
+        _off("spring of a joint, largest difference", springs),
+        _off("damper of a joint, largest difference", dampers),
+        measured("end stop of a joint, largest difference", ranges.max(), "deg", at_most=0.1),
+        _off("torque of an end stop, largest difference", stops),
+    ]
+    for region in subject.regions(quick=quick):
+        measures += free_skin_measures(subject, region)
+        depth = core_depths(subject.scene(region), region)
+        met = np.isfinite(depth)
+        under = f"{region}: skin with bone under it that the tool can meet"
+        measures.append(measured(under, 100 * met.mean(), "%", at_least=95.0))
+        if met.any():
+            measures.append(measured(f"{region}: depth of that bone, median", 1000 * np.median(depth[met]), "mm"))
+    curves = {"mass": masses, "spring": springs, "damper": dampers}
+    return CheckResult(check="declared", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _off(name: str, rows: Array) -> Measure:
+    """Measure the largest deviation. ``rows`` (n, 2): actual and declared value. A joint that is declared without a
+    spring must have none."""
+    scale = np.where(rows[:, 1] == 0, 1e-9, rows[:, 1])
+    return measured(name, 100 * np.abs((rows[:, 0] - rows[:, 1]) / scale).max(), "%", at_most=1.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class FreeSkin:
+    """How the skin of a region moves that is kicked and left alone: it shows the inertia, damper and spring with which
+    the compiled tissue computes. In slow contact, the inertia shows nowhere.
+
+    If all vertices move alike and nothing touches them, neighbours exert no force, and each vertex follows
+    m w'' + d w' + a w = 0. The kick dies within some m / d, and what it displaced returns within some d / a.
+    """
+
     dies_s: float
     """Time in which a kick dies, m / d."""
     returns_s: float
@@ -57,15 +99,13 @@ def free_skin_measures(subject: Subject, region: str) -> Iterator[Measure]:
         ("a kick of the skin dies (its inertia over its damper)", found.dies_s, wanted.dies_s),
         ("displaced skin returns (its damper over its spring)", found.returns_s, wanted.returns_s),
     ):
-        yield Measure(name=f"{region}: time in which {name}, off the declared {1000 * of:.3g} ms", unit="%",
-                      value=100 * abs(at / of - 1), limit=LIMIT_PERCENT)  # fmt: skip
+        time = f"{region}: time in which {name}, off the declared {1000 * of:.3g} ms"
+        yield measured(time, 100 * abs(at / of - 1), "%", at_most=LIMIT_PERCENT)
 
 
 def declared(subject: Subject, region: str) -> FreeSkin:
-    tissue = subject.tissue(region)
-    return FreeSkin(
-        dies_s=tissue.areal_mass_kg_m2 / tissue.damping_ns_m3, returns_s=tissue.damping_ns_m3 / tissue.a_n_m3
-    )  # fmt: skip
+    law = subject.tissue(region)
+    return FreeSkin(dies_s=law.areal_mass_kg_m2 / law.damping_ns_m3, returns_s=law.damping_ns_m3 / law.a_n_m3)
 
 
 def free_skin(subject: Subject, region: str) -> FreeSkin:
@@ -76,12 +116,10 @@ def free_skin(subject: Subject, region: str) -> FreeSkin:
     wanted = declared(subject, region)
     # Vertices at rest stay out of the solver's window.
     felt.set_motion(data, np.array([SMALLEST_M, 0.0, 0.0]), np.array([KICK_M_S, 0.0, 0.0]))
-    rows = [_follow(model, data, felt, time_s / PARTS, steps) for time_s, steps in (
-        (wanted.dies_s, KICK_STEPS), (wanted.returns_s, RETURN_STEPS),
-    )]  # fmt: skip
-    damper, spring = -np.linalg.lstsq(rows[0][:, 1:], rows[0][:, 0], rcond=None)[0]
-    # The return says more of the spring, and hardly anything of the inertia.
-    late = rows[1]
+    times = ((wanted.dies_s, KICK_STEPS), (wanted.returns_s, RETURN_STEPS))
+    rows, late = [_follow(model, data, felt, time_s / PARTS, steps) for time_s, steps in times]
+    damper, spring = -np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
+    # The return shows the spring better, and hardly anything of the inertia.
     spring = -float(late[:, 2] @ (late[:, 0] + damper * late[:, 1]) / (late[:, 2] @ late[:, 2]))
     return FreeSkin(dies_s=float(1 / damper), returns_s=float(damper / spring))
 
@@ -99,56 +137,9 @@ def _follow(model: mujoco.MjModel, data: mujoco.MjData, felt: Readings, dt_s: fl
     return np.array(rows)
 
 
-TITLE = "Masses, joints, cores and skin as declared"
-TURN_RAD, SPEED_RAD_S = 0.05, 1.0
-"""Angle and speed by which each hinge is turned to read its spring and its damper, which are linear."""
-PAST_RAD = 0.06
-"""Angle past its range to which each hinge is turned to read its end stop."""
-LONGEST_RAY_M = 0.15
-
-
-def run(subject: Subject, *, quick: bool) -> CheckResult:
-    scene = subject.scene("forearm")
-    masses, centres = segment_masses(scene)
-    springs, dampers, ranges, stops = joint_constants(scene)
-    measures = [
-        Measure(name="mass of the person", value=float(masses[:, 0].sum()), unit="kg"),
-        _off("deviation of the person's mass from the declared one", [masses.sum(0)]),
-        _off("mass of a segment, largest difference", masses),
-        Measure(name="centre of mass of a segment, largest distance", value=1000 * float(centres.max()),
-                unit="mm", limit=1.0),
-        _off("spring of a joint, largest difference", springs),
-        _off("damper of a joint, largest difference", dampers),
-        Measure(name="end stop of a joint, largest difference", value=float(ranges.max()), unit="deg", limit=0.1),
-        _off("torque of an end stop, largest difference", stops),
-    ]  # fmt: skip
-    for region in subject.regions(quick=quick):
-        measures += free_skin_measures(subject, region)
-        depth = core_depths(subject.scene(region), region)
-        measures.append(
-            Measure(name=f"{region}: skin with bone under it that the tool can meet",
-                    value=100 * float(np.isfinite(depth).mean()), unit="%", limit=95.0, side="at least")
-        )  # fmt: skip
-        if np.isfinite(depth).any():
-            middle = 1000 * float(np.median(depth[np.isfinite(depth)]))
-            measures.append(Measure(name=f"{region}: depth of that bone, median", value=middle, unit="mm"))
-    return CheckResult(check="declared", title=TITLE, measures=tuple(measures),
-                       curves={"mass": masses, "spring": springs, "damper": dampers})  # fmt: skip
-
-
-def _off(name: str, rows: Array | list[Array]) -> Measure:
-    """Measure the largest deviation. ``rows`` (n, 2): actual and declared value. A joint that is declared without a
-    spring must have none.
-    """
-    rows = np.asarray(rows)
-    scale = np.where(rows[:, 1] == 0, 1e-9, rows[:, 1])
-    return Measure(name=name, value=100 * float(np.abs((rows[:, 0] - rows[:, 1]) / scale).max()), unit="%", limit=1.0)
-
-
 def segment_masses(scene: Scene) -> tuple[Array, Array]:
     """Return the actual and declared mass (S, 2) [kg] of every segment with its plates, and the distance (S,) [m] of
-    the actual from the declared centre of mass.
-    """
+    the actual from the declared centre of mass."""
     model, body = scene.model, scene.body
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -168,8 +159,7 @@ def segment_masses(scene: Scene) -> tuple[Array, Array]:
 def joint_constants(scene: Scene) -> tuple[Array, Array, Array, Array]:
     """Return actual and declared springs (J, 2) [N m/rad] and dampers (J, 2) [N m s/rad], the error (J,) [deg] of the
     angle at which end stops begin, and their actual and declared torques (2 J, 2) [N m] PAST_RAD beyond, for the lower
-    and the upper end of each joint.
-    """
+    and the upper end of each joint."""
     model = copy.copy(scene.model)
     data = mujoco.MjData(model)
     springs, dampers, ranges, stops = [], [], [], []
@@ -200,10 +190,7 @@ def joint_constants(scene: Scene) -> tuple[Array, Array, Array, Array]:
 
 def core_depths(scene: Scene, region: str) -> Array:
     """Return, for every vertex inside the shell's border, the depth (n,) [m] at which a ray to the region's axis meets
-    bone that the tool collides with; infinite where it meets none.
-
-    The ray is not along the anchor, which misses the thin bones of slim arms.
-    """
+    bone that the tool collides with; infinite where it meets none. Anchors would miss the thin bones of slim arms."""
     model = scene.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -212,11 +199,10 @@ def core_depths(scene: Scene, region: str) -> Array:
     to_world = data.xmat[bone].reshape(3, 3)
     origin = scene.body.joint_centre[REGIONS[region].segment]
     tool = model.geom(scene.robot.tip.geom)
-    cores = [
-        g for g in range(model.ngeom)
-        if model.geom(g).name.startswith(f"human_core_{region}_")
-        and (model.geom_contype[g] & tool.conaffinity[0] or model.geom_conaffinity[g] & tool.contype[0])
-    ]  # fmt: skip
+    type_, affinity = int(tool.contype[0]), int(tool.conaffinity[0])
+    collides = (model.geom_contype & affinity) | (model.geom_conaffinity & type_)
+    named = [model.geom(g).name.startswith(f"human_core_{region}_") for g in range(model.ngeom)]
+    cores = np.flatnonzero(np.array(named) & (collides != 0)).tolist()
     depths = []
     inside = ~border(shell)
     for vertex, axis_point in zip(shell.vertices[inside], shell.axis_points[inside], strict=True):
@@ -230,8 +216,7 @@ def core_depths(scene: Scene, region: str) -> Array:
 
 def border(shell: Shell) -> npt.NDArray[np.bool_]:
     """Return (N,) which vertices lie on an edge that belongs to one triangle only. The core ends there, so that a ray
-    from such a vertex would run along its face.
-    """
+    from such a vertex would run along its face."""
     sides = np.concatenate([np.roll(shell.triangles, k, axis=1)[:, :2] for k in range(3)])
     edges, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
     return np.isin(np.arange(len(shell.vertices)), edges[count == 1])

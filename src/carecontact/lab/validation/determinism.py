@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ import numpy as np
 
 from carecontact.errors import RecordingError
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.subject import Subject, axes, move_to, surface_point
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import canonical_hash, read_recording
@@ -39,36 +40,28 @@ PRESS_S, SLIDE_S, GO_ON_STEPS, DEEP_M, ASIDE_M = 0.6, 0.2, 200, 0.020, 0.02
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     """Run the check on trials of the package, which use the package's own scene and no other."""
     phases = subject.protocol.phases.model_copy(update={"time_limit_s": QUICK_TRIAL_S if quick else TRIAL_S})
-    spec = TrialSpec(protocol=subject.protocol.model_copy(update={"phases": phases}), task_id=TASK, seed=SEED,
-                     policy=POLICY)  # fmt: skip
-    first, second = two_recordings(spec)
-    different = sum(
-        not np.array_equal(first.arrays[path], second.arrays[path])
-        for path in first.arrays
-        if not path.startswith("wall/")
+    protocol = subject.protocol.model_copy(update={"phases": phases})
+    recordings = first, second = two_recordings(TrialSpec(protocol=protocol, task_id=TASK, seed=SEED, policy=POLICY))
+    kept = [path for path in first.arrays if not path.startswith("wall/")]
+    different = sum(not np.array_equal(first.arrays[path], second.arrays[path]) for path in kept)
+    hashes = {canonical_hash(recording) for recording in recordings}
+    contacts = [find_contact(recording) for recording in recordings]
+    time, force = contacts[0].time_s, contacts[0].force_norm
+    segment = first.header.segments.index(REGIONS[protocol.task(TASK).region].segment)
+    measures = (
+        measured("canonical hashes that differ", len(hashes) - 1, at_most=0.0),
+        measured("arrays that differ in any bit", different, at_most=0.0),
+        *in_one_process(subject),
+        measured("physics steps compared", len(time), at_least=1000.0),
+        measured("largest force in them", force.max(), "N", at_least=0.5),
     )
-    contact = find_contact(first)
-    segment = first.header.segments.index(REGIONS[spec.protocol.task(TASK).region].segment)
-    return CheckResult(
-        check="determinism", title=TITLE,
-        curves={"time": contact.time_s, "force": np.stack([contact.force_norm[:, segment],
-                                                            find_contact(second).force_norm[:, segment]])},
-        measures=(
-            Measure(name="canonical hashes that differ", value=float(canonical_hash(first) != canonical_hash(second)),
-                    limit=0.0),
-            Measure(name="arrays that differ in any bit", value=float(different), limit=0.0),
-            *in_one_process(subject),
-            Measure(name="physics steps compared", value=float(len(contact.time_s)), limit=1000.0, side="at least"),
-            Measure(name="largest force in them", value=float(contact.force_norm.max()), unit="N", limit=0.5,
-                    side="at least"),
-        ),
-    )  # fmt: skip
+    curves = {"time": time, "force": np.stack([contact.force_norm[:, segment] for contact in contacts])}
+    return CheckResult(check="determinism", title=TITLE, measures=measures, curves=curves)
 
 
 def in_one_process(subject: Subject) -> list[Measure]:
     """Measure what differs, for a press on each region that slides aside, if its state is restored in mid-contact, in
-    the same world or in another one, and if another world of the same process runs in between.
-    """
+    the same world or in another one, and if another world of the same process runs in between."""
     restored, beside, force = 0, 0, np.inf
     for region in subject.regions():
         alone = _pressed(subject.hovering(region), region, ASIDE_M)
@@ -80,10 +73,10 @@ def in_one_process(subject: Subject) -> list[Measure]:
         restored += not np.array_equal(_continued(other, state), wanted)
         beside += not np.array_equal(_continued(other, state, beside=stranger), wanted)
     return [
-        Measure(name="contacts that go on differently from a restored state", value=float(restored), limit=0.0),
-        Measure(name="contacts that differ beside another world in the process", value=float(beside), limit=0.0),
-        Measure(name="smallest force where they were interrupted", value=force, unit="N", limit=0.5, side="at least"),
-    ]  # fmt: skip
+        measured("contacts that go on differently from a restored state", restored, at_most=0.0),
+        measured("contacts that differ beside another world in the process", beside, at_most=0.0),
+        measured("smallest force where they were interrupted", force, "N", at_least=0.5),
+    ]
 
 
 def _pressed(simulation: Simulation, region: str, aside_m: float) -> Simulation:
@@ -108,18 +101,15 @@ def _continued(simulation: Simulation, state: Array | None = None, *, beside: Si
 
 def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
     """Run a trial twice in fresh processes at once. Raises RecordingError or OSError if one leaves nothing."""
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / f"{n}.h5" for n in (1, 2)]
-        running = []
+    command, quiet = [sys.executable, "-m", "carecontact.running.worker"], subprocess.DEVNULL
+    request = {"spec": spec.model_dump(mode="json"), "policy": asdict(PolicySetup.of(spec.policy))}
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        paths, running = [Path(folder) / f"{n}.h5" for n in (1, 2)], []
         for path in paths:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "carecontact.running.worker"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )  # fmt: skip
-            policy = asdict(PolicySetup.of(spec.policy))
-            request = json.dumps({"spec": spec.model_dump(mode="json"), "policy": policy, "out": str(path)})
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet)
+            stack.callback(process.kill)
             assert process.stdin is not None
-            process.stdin.write(request.encode())
+            process.stdin.write(json.dumps({**request, "out": str(path)}).encode())
             process.stdin.close()
             running.append(process)
         try:
@@ -128,9 +118,6 @@ def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
         except subprocess.TimeoutExpired:
             limit = spec.protocol.phases.time_limit_s
             raise RecordingError(f"a trial of {limit:g} s was not over after {LONGEST_S:g} s") from None
-        finally:
-            for process in running:
-                process.kill()
         first, second = (read_recording(path) for path in paths)
         return first, second
 

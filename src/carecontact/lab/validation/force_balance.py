@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from carecontact.errors import SceneError
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.rig import AnchorForce, bed_reaction, moment_on_bone, tip_force, touches_hard_parts
 from carecontact.lab.validation.subject import Subject, move_to, surface_point
 from carecontact.recording.schema import SEGMENTS
@@ -43,32 +43,27 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     curves: dict[str, Array] = {}
     for region in subject.regions(quick=quick):
         rows, weight = press_in_levels(subject.hovering(region), region, QUICK_LEVELS_M if quick else LEVELS_M)
-        size = np.linalg.norm(rows["contact"], axis=1)
-        gap = {path: np.linalg.norm(rows[path] - rows["contact"], axis=1) / size for path in PATHS[1:]}
         wanted_weight = subject.scene(region).body.mass_kg * GRAVITY_M_S2
-
-        def line(name: str, share: float, limit: float, region: str = region) -> Measure:
-            return Measure(name=f"{region}: {name}", value=100 * float(share), unit="%", limit=limit)
-
-        deep, lever = rows["indentation"], np.linalg.norm(rows["moment"] - rows["anchors' moment"], axis=1) / size
+        size, deep = np.linalg.norm(rows["contact"], axis=1), rows["indentation"]
+        gap = {path: 100 * (np.linalg.norm(rows[path] - rows["contact"], axis=1) / size) for path in PATHS[1:]}
+        held = 100 * (np.linalg.norm(rows["held"], axis=1) / size).max()
+        lever = 1000 * (np.linalg.norm(rows["moment"] - rows["anchors' moment"], axis=1) / size).max()
+        outside = (deep < RANGE_M[0]) | (deep > RANGE_M[1]) | (rows["hard"] > 0)
+        before, moment = 100 * abs(weight / wanted_weight - 1), "moment on the bone against the anchors' moment"
         measures += [
-            line("contact against anchors", gap["anchors"].max(), 1.0),
-            line("contact against robot joint torques", gap["joint torques"].max(), 2.0),
-            Measure(name=f"{region}: held by skin too far from the tool to move", unit="%",
-                    value=float(100 * (np.linalg.norm(rows["held"], axis=1) / size).max())),
-            Measure(name=f"{region}: moment on the bone against the anchors' moment, over the force", unit="mm",
-                    value=1000 * float(lever.max()), limit=LEVER_MM),
-            line("bed reaction against weight and press", gap["bed"].max(), 1.0),
-            line("bed against weight before the press", abs(weight / wanted_weight - 1), 1.0),
-            Measure(name=f"{region}: tool speed at the readings", value=1000 * float(rows["speed"].max()), unit="mm/s",
-                    limit=0.1, side="below"),
-            Measure(name=f"{region}: readings out of range or on hard parts",
-                    value=float(((deep < RANGE_M[0]) | (deep > RANGE_M[1]) | (rows["hard"] > 0)).sum()), limit=0.0),
-            Measure(name=f"{region}: largest force", value=float(size.max()), unit="N"),
-        ]  # fmt: skip
+            measured(f"{region}: contact against anchors", gap["anchors"].max(), "%", at_most=1.0),
+            measured(f"{region}: contact against robot joint torques", gap["joint torques"].max(), "%", at_most=2.0),
+            measured(f"{region}: held by skin too far from the tool to move", held, "%"),
+            measured(f"{region}: {moment}, over the force", lever, "mm", at_most=LEVER_MM),
+            measured(f"{region}: bed reaction against weight and press", gap["bed"].max(), "%", at_most=1.0),
+            measured(f"{region}: bed against weight before the press", before, "%", at_most=1.0),
+            measured(f"{region}: tool speed at the readings", 1000 * rows["speed"].max(), "mm/s", below=0.1),
+            measured(f"{region}: readings out of range or on hard parts", outside.sum(), at_most=0.0),
+            measured(f"{region}: largest force", size.max(), "N"),
+        ]
         curves[f"{region}/indentation"] = deep
         curves |= {f"{region}/{path}": np.linalg.norm(rows[path], axis=1) for path in PATHS}
-        curves |= {f"{region}/gap {path}": 100 * gap[path] for path in PATHS[1:]}
+        curves |= {f"{region}/gap {path}": gap[path] for path in PATHS[1:]}
     return CheckResult(check="force-balance", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -100,9 +95,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
         """Return the forces (4, 3) [N] by path, the moments (2, 3) [N m] on the bone and of the anchors, the tool's
         largest speed [m/s] and the number of contacts with hard parts, once the tool rests.
 
-        They are read at every step of whole target periods, because within one the posture torque lets the tip swing a
-        little.
-        """
+        They are read at every step of whole target periods, within which the posture torque lets the tip swing."""
         for _ in range(round(LONGEST_REST_S / period)):
             if go(0.0).tcp_speed.max() < REST_M_S:
                 break
@@ -116,7 +109,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
         return np.mean(forces, axis=0), np.mean(moments, axis=0), speed, hard
 
     before = read()[0]
-    rows: dict[str, list] = {name: [] for name in ("indentation", "speed", "held", "hard", *PATHS, *MOMENTS)}
+    rows: list[dict[str, Any]] = []
     for level in levels_m:
         began = simulation.time_s
         while (depth := float(simulation.indentation()[index])) < level:
@@ -127,13 +120,11 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
                 tangent = float(np.clip((force - last[1]) / (depth - last[0]), 0.0, 8000.0))
                 last = (depth, force)
         forces, moments, speed, hard = read()
-        rows["indentation"].append(float(simulation.indentation()[index]))
-        rows["speed"].append(speed)
-        rows["held"].append(anchors.held())
-        rows["hard"].append(hard)
-        for path, of_path in zip((*PATHS, *MOMENTS), (*(forces - before), *moments), strict=True):
-            rows[path].append(of_path)
-    return {name: np.array(values) for name, values in rows.items()}, -float(before[PATHS.index("bed"), 2])
+        depth, paths = float(simulation.indentation()[index]), zip(PATHS, forces - before, strict=True)
+        row = {"indentation": depth, "speed": speed, "held": anchors.held(), "hard": hard}
+        rows.append({**row, **dict(paths), **dict(zip(MOMENTS, moments, strict=True))})
+    arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return arrays, -float(before[PATHS.index("bed"), 2])
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
@@ -146,8 +137,8 @@ def draw(result: CheckResult, figure: Figure) -> None:
         for number, (path, marker) in enumerate(markers.items()):
             above.plot(depth, result.curves[f"{region}/{path}"], marker, ms=9 - 2 * number, mfc="none", label=path)
             if path != "contact":
-                below.plot(depth, np.maximum(result.curves[f"{region}/gap {path}"], 1e-4), marker + "-", ms=4,
-                           mfc="none", color=above.lines[-1].get_color())  # fmt: skip
+                gap, colour = np.maximum(result.curves[f"{region}/gap {path}"], 1e-4), above.lines[-1].get_color()
+                below.plot(depth, gap, marker + "-", ms=4, mfc="none", color=colour)
         for limit, style in ((1.0, "--"), (2.0, ":")):
             below.axhline(limit, color="0.4", lw=0.8, ls=style)
         below.set(xlabel="deepest anchor [mm]", yscale="log")

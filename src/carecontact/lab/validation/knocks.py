@@ -1,24 +1,26 @@
-"""A blow by a free mass meets the force that published stiffness predicts, and returns no more momentum than it
-brought.  A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest
-force is that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a
-plate (``world.human.plates``), on the abdomen the published curve under the ball of the same size that it was measured
-with.  ``Claims`` says which blows decide. The robot's own tool strikes the abdomen with all that the robot brings, and
-is driven into it (``driven_deep``), and both decide."""
+"""A blow by a free mass meets the force that published stiffness predicts, and never returns momentum that is made.
+
+A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest force is
+that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
+(``human.hulls``), on the abdomen the published curve under the ball of the same size that it was measured with. The
+robot's own tool also strikes the abdomen with all that the robot brings, and is driven into it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from itertools import product
+from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import numpy as np
 
 from carecontact.errors import SceneError
-from carecontact.human.hulls import ARM, FLOOR_GIVE, PLATES, REACHED_FROM_THE_SIDE, Give, Plate, plate_body
+from carecontact.human.hulls import ARM, FLOOR_GIVE, PLATES, REACHED_FROM_THE_SIDE, Give, plate_body
 from carecontact.interface.geometry import Triangles
-from carecontact.interface.robot import EMBODIMENTS, Tip
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.interface.robot import Tip
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.rig import ABDOMEN
 from carecontact.lab.validation.subject import (
     COMFORT_ARM_DEG,
@@ -26,6 +28,7 @@ from carecontact.lab.validation.subject import (
     Subject,
     in_base,
     move_to,
+    refuse_warnings,
     skin_points,
     surface_point,
 )
@@ -36,11 +39,6 @@ from carecontact.world.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-# The robot's own tool, driven into the abdomen as fast, as stiffly and as deep as a policy can: does the skin hold it?
-#
-# The kernel drops a contact point that has sunk into a tool beyond the tool's middle, because the nearest surface is
-# then behind it. A tool of which this is true goes through the skin: nothing holds it until it meets bone.
 
 REGION = "abdomen"
 ABOVE_M = 0.12
@@ -58,7 +56,12 @@ MIDDLE_PERCENT = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Driven:
-    """One press, until the target has rested for HOLD_S or the protocol would cut the trial."""
+    """One press of the robot's tool into the abdomen as fast, as stiffly and as deep as a policy can, until the target
+    has rested for HOLD_S or the protocol would cut the trial.
+
+    The kernel drops a contact point that has sunk into a tool beyond the tool's middle, because the nearest surface is
+    then behind it. Such a tool goes through the skin: nothing holds it until it meets bone.
+    """
 
     tool: str
     speed_m_s: float
@@ -68,47 +71,39 @@ class Driven:
     deepest_m: float
     """Of the tool's tip under where the skin was."""
     sunk: float
-    """How far the skin sank into the tool at most, over half of the tool's thickness. Above 1, it lies beyond the
-    tool's middle.
-    """
+    """How far the skin sank into the tool at most, over half of the tool's thickness."""
     lost_n: float | None
-    """Largest force until then; None where the skin stayed before the tool's middle."""
+    """Largest force until ``sunk`` passed 1; None where the skin stayed before the tool's middle."""
 
     def measures(self) -> Iterator[Measure]:
         name = f"abdomen, {self.tool} driven in by the robot"
-        yield Measure(name=f"{name}: speed at touch", value=self.speed_m_s, unit="m/s")
-        yield Measure(name=f"{name}: largest force", value=self.peak_n, unit="N")
-        yield Measure(name=f"{name}: deepest", value=1000 * self.deepest_m, unit="mm")
-        yield Measure(name=f"{name}: skin in the tool, over half of its thickness", value=100 * self.sunk, unit="%",
-                      limit=MIDDLE_PERCENT)  # fmt: skip
+        skin = f"{name}: skin in the tool, over half of its thickness"
+        yield measured(f"{name}: speed at touch", self.speed_m_s, "m/s")
+        yield measured(f"{name}: largest force", self.peak_n, "N")
+        yield measured(f"{name}: deepest", 1000 * self.deepest_m, "mm")
+        yield measured(skin, 100 * self.sunk, "%", at_most=MIDDLE_PERCENT)
         if self.lost_n is not None:
-            yield Measure(name=f"{name}: force at which it goes through", value=self.lost_n, unit="N")
+            yield measured(f"{name}: force at which it goes through", self.lost_n, "N")
 
 
 def drive(subject: Subject) -> Driven:
     """Drive the tool into the middle of the abdomen with the stiffest spring that the protocol allows.
 
     The target moves at the protocol's speed limit. It ends so deep that the robot, wherever the tool stops, pushes with
-    all of the protocol's ``force_clamp_n``.
-    Raises SceneError if the tool leaves the region.
+    all of the protocol's ``force_clamp_n``. Raises SceneError if the tool leaves the region.
     """
     protocol, simulation = subject.protocol, subject.hovering(REGION)
-    impedance, physics = protocol.impedance, protocol.physics
+    impedance, tip = protocol.impedance, protocol.scene.robot.tip
     top = surface_point(simulation, REGION)
     move_to(simulation, top + [0, 0, ABOVE_M], seconds=1.5)
     stiffest = impedance.translational_bounds[1]
     simulation.set_stiffness(stiffest, impedance.rotational_bounds[1])
     below = subject.tissue(REGION).thickness_m + impedance.force_clamp_n / stiffest
-    seconds = (ABOVE_M + below) / physics.max_tcp_speed_m_s
+    seconds = (ABOVE_M + below) / protocol.physics.max_tcp_speed_m_s
     simulation.set_goal(np.r_[in_base(simulation, top - [0, 0, below]), DOWN], seconds)
-    return _watch(simulation, protocol.scene.tool, float(top[2]), seconds + HOLD_S)
-
-
-def _watch(simulation: Simulation, tool: str, top_m: float, seconds: float) -> Driven:
-    protocol, tip = simulation.protocol, EMBODIMENTS[simulation.protocol.scene.tool].tip
     cut_n = protocol.phases.truncation_over_pain * protocol.limits.f_pain_n[REGION]
     speed, peak, deepest, sunk, lost_n = 0.0, 0.0, 0.0, 0.0, None
-    for _ in range(round(seconds / (STEPS * simulation.model.opt.timestep))):
+    for _ in range(round((seconds + HOLD_S) / (STEPS * simulation.model.opt.timestep))):
         samples = simulation.advance(STEPS)[-1]
         force = float(lengths(samples.force).max())
         if peak == 0.0:
@@ -118,9 +113,10 @@ def _watch(simulation: Simulation, tool: str, top_m: float, seconds: float) -> D
         if share > 1 and lost_n is None:
             lost_n = peak
         peak, sunk = max(peak, force), max(sunk, share)
-        deepest = max(deepest, top_m - float(simulation.data.site(simulation.robot.tcp_site).xpos[2]))
+        deepest = max(deepest, float(top[2] - simulation.data.site(simulation.robot.tcp_site).xpos[2]))
         if force > cut_n:
             break
+    tool = protocol.scene.tool
     return Driven(tool=tool, speed_m_s=speed, peak_n=peak, deepest_m=deepest, sunk=sunk, lost_n=lost_n)
 
 
@@ -170,7 +166,6 @@ OUTWARD_M = 0.04
 HAND_N_M = 75_000.0
 """Spring of the hand, which has no plate: ``ISO`` of "hands and fingers"."""
 STRIKER = "striker"
-DOWNWARD = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,9 +181,9 @@ class Site:
     """Name of the region whose skin is struck."""
     under: Give | None = None
     """Give of the plate under the skin."""
-    towards: tuple[float, float, float]
+    towards: tuple[float, float, float] = (0.0, 0.0, -1.0)
     """Direction of the blow in the world."""
-    ball_m: float
+    ball_m: float = BALL_M
     depth_m: Array
     force_n: Array
     """(n,) published force at ``depth_m``"""
@@ -205,8 +200,7 @@ class Site:
 
     def most_n(self, energy_j: float) -> float:
         """Return the force at which the standard's spring of the bone under skin alone would hold an energy that the
-        published curve does not reach; NaN on other sites and up to there. Tissue over the bone can only take from it.
-        """
+        published curve does not reach; NaN elsewhere. Tissue over the bone can only take from it."""
         if self.under is None or np.isfinite(self.predicted_n(energy_j)):
             return np.nan
         return float(np.sqrt(2 * self.under.a_n_m * energy_j))
@@ -221,9 +215,8 @@ class Blow:
     """Largest force on the whole person."""
     predicted_n: float
     most_n: float
-    """``Site.most_n`` of its energy."""
     evades: bool
-    """``Site.evades``"""
+    """These three are the site's."""
     momentum: float
     """Impulse over the momentum of the blow."""
     held: float
@@ -253,94 +246,32 @@ class Blow:
     def off_percent(self) -> float:
         return 100 * (self.peak_n / self.predicted_n - 1)
 
+    def measures(self, robot_j: float) -> Iterator[Measure]:
+        """Yield what the blow measured, against the energy that the robot brings [J].
 
-@dataclass(frozen=True, kw_only=True)
-class Claims:
-    """What blows are held to.
-
-    The prediction always decides; if the site evades, only that the blow is not harder. The abdomen has to hold
-    BELLY_HOLDS_J and what the robot can bring, and no blow on it may be harder than the standard's spring of the
-    abdomen predicts.
-    """
-
-    robot_j: float
-    """``robot_brings_j``"""
-
-    @classmethod
-    def of(cls, protocol: Protocol) -> Claims:
-        return cls(robot_j=robot_brings_j(protocol))
-
-    def predicts(self, blow: Blow) -> bool:
-        """Whether a finite prediction decides from both sides."""
-        return not blow.evades
-
-    def holds(self, blow: Blow) -> bool:
-        """Whether it decides that the ball is stopped by what it met first."""
-        most_j = max(self.robot_j, BELLY_HOLDS_J)
-        return not blow.evades and (bool(np.isfinite(blow.predicted_n)) or blow.energy_j <= most_j)
-
-
-def sites() -> list[Site]:
-    """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, the bare bone
-    of the arm, and the skin of the soft regions.
-
-    The arm may move away as a whole, so that its sites evade.
-    """
-    depth, side = np.linspace(0.0, 0.1, 2001), REACHED_FROM_THE_SIDE
-
-    def of(plate: Plate, towards: tuple[float, float, float], name: str, *, hull: str | None = None) -> Site:
-        return Site(name=name, plate=plate.name, hull=hull, towards=towards, ball_m=BALL_M, depth_m=depth,
-                    force_n=plate.give.force_n(depth), evades=hull is not None)  # fmt: skip
-
-    rows = {plate.name.removeprefix(f"{side}_"): plate for plate in PLATES if plate.name.startswith(side)}
-    found = [of(rows[part], DOWNWARD, part) for part in ("chest", "hip", "thigh", "shank")]
-    # The person's right is the world's +y.
-    found.append(of(rows["thigh"], (0.0, -1.0, 0.0), "thigh from the side"))
-    ends = zip(ARM, ("shoulder cap", "elbow"), strict=True)
-    found += [of(rows[part], DOWNWARD, name, hull=f"{side}_{part}_near_end") for part, name in ends]
-    found.append(Site(name="hand", hull=f"{side}_hand", towards=DOWNWARD, ball_m=BALL_M, depth_m=depth,
-                      force_n=HAND_N_M * depth, evades=True))  # fmt: skip
-    ball = ABDOMEN.indenter.size_m
-    assert ball is not None
-    skin = Site(name="abdomen", region="abdomen", under=FLOOR_GIVE, towards=DOWNWARD, ball_m=ball,
-                depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)  # fmt: skip
-    arms = (replace(skin, name=part.replace("_", " "), region=part, under=rows[part].give, evades=True,
-                    depth_m=np.zeros(1), force_n=np.zeros(1)) for part in ARM)  # fmt: skip
-    return [*found, *arms, skin]
-
-
-def run(subject: Subject, *, quick: bool) -> CheckResult:
-    masses, speeds = (QUICK_MASSES_KG, QUICK_SPEEDS_M_S) if quick else (MASSES_KG, SPEEDS_M_S)
-    blows = list(strike_all(subject, masses, speeds))
-    claims = Claims.of(subject.protocol)
-    measures = list(_counts(blows, claims))
-    for blow in blows:
-        measures += _measures(blow, claims)
-    if not quick:
-        measures += scan(subject)
-    measures += _measures(strike_with_tool(subject), claims)
-    try:
-        measures += drive(subject).measures()
-    except SceneError as error:
-        # Without this measure, the others are still useful.
-        name = f"abdomen, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
-        measures.append(Measure(name=name, value=float("nan"), unit="%", limit=MIDDLE_PERCENT))
-    rows = [(b.site, [b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, claims.predicts(b)]) for b in blows]
-    curves = {site.name: np.array([row for name, row in rows if name == site.name]) for site in sites()}
-    return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
-
-
-def _counts(blows: list[Blow], claims: Claims) -> Iterator[Measure]:
-    """How many blows the predictions judge: no limit of its own."""
-    predicted = [blow for blow in blows if np.isfinite(blow.predicted_n)]
-    for name, found in {
-        "predictions that decide": [blow for blow in predicted if claims.predicts(blow)],
-        "predictions that do not decide": [blow for blow in predicted if not claims.predicts(blow)],
-    }.items():
-        yield Measure(name=name, value=len(found))
-        off = sum(abs(blow.off_percent) > TOLERANCE_PERCENT for blow in found)
-        yield Measure(name=f"{name}, off by more than {TOLERANCE_PERCENT:g} %", value=off)
-    yield Measure(name="blows without a prediction", value=len(blows) - len(predicted))
+        The prediction always decides; if the site evades, only that the blow is not harder. No blow on the abdomen may
+        be harder than the standard's spring of the abdomen predicts.
+        """
+        name, limit = self.name, TOLERANCE_PERCENT
+        yield measured(f"{name}: largest force", self.peak_n, "N")
+        if np.isfinite(self.predicted_n):
+            prediction = f"the prediction of {self.predicted_n:.1f} N"
+            off = f"{name}: off {prediction}"
+            yield measured(off, abs(self.off_percent), "%", at_most=limit, decides=not self.evades)
+            if self.evades:
+                yield measured(f"{name}: harder than {prediction}", self.off_percent, "%", at_most=limit)
+        elif np.isfinite(self.most_n):
+            harder = f"{name}: harder than the spring of its bone, {self.most_n:.1f} N"
+            yield measured(harder, 100 * (self.peak_n / self.most_n - 1), "%", at_most=limit)
+        held, holds = f"{name}: impulse over momentum before it goes through", must_hold(self, robot_j)
+        yield measured(f"{name}: impulse over momentum", self.momentum, at_most=MOMENTUM)
+        yield measured(held, self.held, at_least=STOPPED, decides=holds)
+        if np.isnan(self.predicted_n) or self.taken_j is not None:
+            yield measured(f"{name}: deepest before it goes through", 1000 * self.depth_m, "mm")
+        if self.taken_j is not None:
+            yield measured(f"{name}: energy taken before it goes through", self.taken_j, "J")
+        if not self.on_one_spring:
+            yield measured(f"{name}: largest force on something else", self.stray_n, "N")
 
 
 def robot_brings_j(protocol: Protocol) -> float:
@@ -350,58 +281,99 @@ def robot_brings_j(protocol: Protocol) -> float:
     return protocol.impedance.effective_mass_kg * protocol.physics.max_tcp_speed_m_s**2 / 2
 
 
-def _measures(blow: Blow, claims: Claims) -> Iterator[Measure]:
-    """Yield what a blow measured."""
-    yield Measure(name=f"{blow.name}: largest force", value=blow.peak_n, unit="N")
-    if np.isfinite(blow.predicted_n):
-        yield Measure(name=f"{blow.name}: off the prediction of {blow.predicted_n:.1f} N", value=abs(blow.off_percent),
-                      unit="%", limit=TOLERANCE_PERCENT, decides=claims.predicts(blow))  # fmt: skip
-        if blow.evades:
-            yield Measure(name=f"{blow.name}: harder than the prediction of {blow.predicted_n:.1f} N", unit="%",
-                          value=blow.off_percent, limit=TOLERANCE_PERCENT)  # fmt: skip
-    elif np.isfinite(blow.most_n):
-        yield Measure(name=f"{blow.name}: harder than the spring of its bone, {blow.most_n:.1f} N", unit="%",
-                      value=100 * (blow.peak_n / blow.most_n - 1), limit=TOLERANCE_PERCENT)  # fmt: skip
-    yield Measure(name=f"{blow.name}: impulse over momentum", value=blow.momentum, limit=MOMENTUM)
-    yield Measure(name=f"{blow.name}: impulse over momentum before it goes through", value=blow.held, limit=STOPPED,
-                  side="at least", decides=claims.holds(blow))  # fmt: skip
-    if np.isnan(blow.predicted_n) or blow.taken_j is not None:
-        yield Measure(name=f"{blow.name}: deepest before it goes through", value=1000 * blow.depth_m, unit="mm")
-    if blow.taken_j is not None:
-        yield Measure(name=f"{blow.name}: energy taken before it goes through", value=blow.taken_j, unit="J")
-    if not blow.on_one_spring:
-        yield Measure(name=f"{blow.name}: largest force on something else", value=blow.stray_n, unit="N")
+def must_hold(blow: Blow, robot_j: float) -> bool:
+    """Whether it decides that the ball is stopped by what it met first: if a published curve reaches its energy, or the
+    robot brings as much, or BELLY_HOLDS_J."""
+    return not blow.evades and (bool(np.isfinite(blow.predicted_n)) or blow.energy_j <= max(robot_j, BELLY_HOLDS_J))
+
+
+def sites() -> list[Site]:
+    """Return the plates of the side on which the robot stands, the thigh also for a blow from the side, the bare bone
+    of the arm, and the skin of the soft regions. The arm may move away as a whole, so that its sites evade."""
+    depth, side = np.linspace(0.0, 0.1, 2001), REACHED_FROM_THE_SIDE
+    rows = {plate.name.removeprefix(f"{side}_"): plate for plate in PLATES if plate.name.startswith(side)}
+
+    def of(part: str, name: str, **fields: Any) -> Site:
+        plate = rows[part]
+        return Site(name=name, plate=plate.name, depth_m=depth, force_n=plate.give.force_n(depth), **fields)
+
+    found = [of(part, part) for part in ("chest", "hip", "thigh", "shank")]
+    # The person's right is the world's +y.
+    found.append(of("thigh", "thigh from the side", towards=(0.0, -1.0, 0.0)))
+    for part, name in zip(ARM, ("shoulder cap", "elbow"), strict=True):
+        found.append(of(part, name, hull=f"{side}_{part}_near_end", evades=True))
+    hand_n = HAND_N_M * depth
+    found.append(Site(name="hand", hull=f"{side}_hand", depth_m=depth, force_n=hand_n, evades=True))
+    ball = ABDOMEN.indenter.size_m
+    assert ball is not None
+    none = np.zeros(1)
+    for part in ARM:
+        skin = Site(name=part.replace("_", " "), region=part, ball_m=ball, depth_m=none, force_n=none, evades=True)
+        found.append(replace(skin, under=rows[part].give))
+    belly = Site(name="abdomen", region="abdomen", ball_m=ball, depth_m=ABDOMEN.depth_m, force_n=ABDOMEN.force_n)
+    return [*found, replace(belly, under=FLOOR_GIVE)]
+
+
+def run(subject: Subject, *, quick: bool) -> CheckResult:
+    masses, speeds = (QUICK_MASSES_KG, QUICK_SPEEDS_M_S) if quick else (MASSES_KG, SPEEDS_M_S)
+    blows, robot_j = list(strike_all(subject, masses, speeds)), robot_brings_j(subject.protocol)
+    measures = list(_counts(blows))
+    for blow in blows:
+        measures += blow.measures(robot_j)
+    if not quick:
+        measures += scan(subject)
+    measures += strike_with_tool(subject).measures(robot_j)
+    try:
+        measures += drive(subject).measures()
+    except SceneError as error:
+        # Without this measure, the others are still useful.
+        name = f"abdomen, {subject.protocol.scene.tool} driven in by the robot, not measured: {error}"
+        measures.append(measured(name, np.nan, "%", at_most=MIDDLE_PERCENT))
+    rows = [(b.site, [b.mass_kg, b.speed_m_s, b.peak_n, b.predicted_n, not b.evades]) for b in blows]
+    curves = {site.name: np.array([row for name, row in rows if name == site.name]) for site in sites()}
+    return CheckResult(check="knocks", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def _counts(blows: list[Blow]) -> Iterator[Measure]:
+    """Yield how many blows the predictions judge; these counts have no limits."""
+    predicted = [blow for blow in blows if np.isfinite(blow.predicted_n)]
+    for name, evades in (("predictions that decide", False), ("predictions that do not decide", True)):
+        found = [abs(blow.off_percent) > TOLERANCE_PERCENT for blow in predicted if blow.evades == evades]
+        yield measured(name, len(found))
+        yield measured(f"{name}, off by more than {TOLERANCE_PERCENT:g} %", sum(found))
+    yield measured("blows without a prediction", len(blows) - len(predicted))
 
 
 def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float, ...]) -> Iterator[Blow]:
-    """Yield every blow, each on the person at rest."""
-    scene = subject.scene("forearm")
-    struck = sites()
+    scene, struck = subject.scene("forearm"), sites()
     state: Array | None = None
-    for mass in masses:
-        for ball in sorted({site.ball_m for site in struck}):
-            simulation = Simulation(with_striker(scene, mass, ball))
-            if state is None:
-                simulation.settle(COMFORT_ARM_DEG)
-                state = simulation.integration_state()
-            for site in (site for site in struck if site.ball_m == ball):
-                for speed in speeds:
-                    simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
-                    yield strike(simulation, site, mass, speed)
+    for mass, ball in product(masses, sorted({site.ball_m for site in struck})):
+        simulation = Simulation(with_striker(scene, mass, ball))
+        if state is None:
+            state = _settled(simulation)
+        for site, speed in product([site for site in struck if site.ball_m == ball], speeds):
+            simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
+            yield strike(simulation, site, mass, speed)
+
+
+def _settled(simulation: Simulation) -> Array:
+    simulation.settle(COMFORT_ARM_DEG)
+    return simulation.integration_state()
 
 
 def scan(subject: Subject) -> Iterator[Measure]:
     """Yield what blows beside the middle of a part measured: on breastbone and ribs, between the thighs, and toward the
     border of the abdomen."""
-    scene, impedance, claims = subject.scene("forearm"), subject.protocol.impedance, Claims.of(subject.protocol)
+    scene, protocol, robot_j = subject.scene("forearm"), subject.protocol, robot_brings_j(subject.protocol)
     rows = {site.name: site for site in sites()}
-    for name, mass, speed, places in (
-        ("chest", 5.0, 0.2, CHEST_ASIDE_M), ("thigh", 10.0, 0.5, THIGH_ASIDE_M),
-        ("abdomen", impedance.effective_mass_kg, subject.protocol.physics.max_tcp_speed_m_s, BELLY_ASIDE_M),
-    ):  # fmt: skip
+    robots = protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s
+    for name, (mass, speed), places in (
+        ("chest", (5.0, 0.2), CHEST_ASIDE_M),
+        ("thigh", (10.0, 0.5), THIGH_ASIDE_M),
+        ("abdomen", robots, BELLY_ASIDE_M),
+    ):
         simulation = Simulation(with_striker(scene, mass, rows[name].ball_m))
-        simulation.settle(COMFORT_ARM_DEG)
-        state = simulation.integration_state()
+        state = _settled(simulation)
         for headward, right in places:
             simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
             where = f"beside the middle: {name}, {1000 * headward:.0f} mm headward, {1000 * right:.0f} mm to the right"
@@ -409,26 +381,22 @@ def scan(subject: Subject) -> Iterator[Measure]:
             try:
                 blow = strike(simulation, site, mass, speed)
             except SceneError as error:
-                yield Measure(name=str(error), value=float("nan"))
+                yield measured(str(error), np.nan)
                 continue
             decides = not (name == "chest" and right > OUTWARD_M)
-            yield from (replace(m, decides=m.decides and decides) for m in _measures(blow, claims))
+            yield from (replace(m, decides=m.decides and decides) for m in blow.measures(robot_j))
 
 
 def strike_with_tool(subject: Subject) -> Blow:
     """Return the blow of the robot's tool onto the abdomen, with the robot's declared mass and at the fastest that its
-    target moves. Nothing is predicted, because the published curve is of a ball.
-    """
-    protocol = subject.protocol
-    mass, speed, tip = (
-        protocol.impedance.effective_mass_kg, protocol.physics.max_tcp_speed_m_s, protocol.scene.robot.tip
-    )  # fmt: skip
-    belly = Site(name=f"abdomen under the robot's tool ({protocol.scene.tool})", region="abdomen", towards=DOWNWARD,
-                 ball_m=tip.half_m[2], depth_m=np.zeros(1), force_n=np.zeros(1))  # fmt: skip
+    target moves. Nothing is predicted, because the published curve is of a ball."""
+    protocol, none = subject.protocol, np.zeros(1)
+    mass, tip = protocol.impedance.effective_mass_kg, protocol.scene.robot.tip
+    name = f"abdomen under the robot's tool ({protocol.scene.tool})"
+    belly = Site(name=name, region="abdomen", ball_m=tip.half_m[2], depth_m=none, force_n=none)
     simulation = Simulation(with_striker(subject.scene("forearm"), mass, tip))
-    simulation.settle(COMFORT_ARM_DEG)
-    simulation.restore(simulation.integration_state(), comfort_arm_deg=COMFORT_ARM_DEG)
-    return strike(simulation, belly, mass, speed)
+    simulation.restore(_settled(simulation), comfort_arm_deg=COMFORT_ARM_DEG)
+    return strike(simulation, belly, mass, protocol.physics.max_tcp_speed_m_s)
 
 
 def with_striker(scene: Scene, mass_kg: float, shape: float | Tip) -> Scene:
@@ -439,8 +407,8 @@ def with_striker(scene: Scene, mass_kg: float, shape: float | Tip) -> Scene:
     spec = scene.spec.copy()
     base = spec.body(scene.robot.base_body)
     made = base.add_body(name=STRIKER, gravcomp=1.0)
-    for axis in np.eye(3):
-        made.add_joint(name=f"{STRIKER}_{'xyz'[int(axis.argmax())]}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        made.add_joint(name=f"{STRIKER}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
     if isinstance(shape, Tip):
         geom = made.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=shape.half_m)
         if shape.give_m3_n:
@@ -455,60 +423,54 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
     """Simulate one blow on the person at rest, until the ball has left it. A ball that touches nothing but still moves
     inward has not left; after LONGEST_S, such a blow ends as well, and so does one that an evading site has wedged.
     Raises SceneError if the ball is still in contact then with any other site or has touched nothing, or if MuJoCo
-    warned.
-    """
+    warned."""
     towards = np.array(site.towards)
     _aim(simulation, site, speed_m_s * towards)
-    step_s = simulation.model.opt.timestep
+    step_s, momentum, energy = simulation.model.opt.timestep, mass_kg * speed_m_s, mass_kg * speed_m_s**2 / 2
     peak, stray, impulse, silent_s, touched, held = 0.0, 0.0, 0.0, 0.0, False, None
-    start_m, depth, taken = _way_m(simulation, towards) + GAP_M, 0.0, None
-    while silent_s < AFTER_S or _speed_m_s(simulation, towards) > 0:
+    start_m, depth, taken = _along(simulation, "qpos", towards) + GAP_M, 0.0, None
+    while silent_s < AFTER_S or _along(simulation, "qvel", towards) > 0:
         force = simulation.advance(1)[0].force[0]
         peak, stray = max(peak, float(lengths(force.sum(0)))), max(stray, _stray_n(simulation, site))
         impulse += float((force @ towards).sum()) * step_s
         touched |= bool(force.any())
         silent_s = 0.0 if force.any() or not touched else silent_s + step_s
         if held is None and force.any():
-            depth = max(depth, _way_m(simulation, towards) - start_m)
-        if held is None and silent_s > (THROUGH_STEPS - 0.5) * step_s and _speed_m_s(simulation, towards) > 0:
-            held, taken = impulse, mass_kg * (speed_m_s**2 - _speed_m_s(simulation, towards) ** 2) / 2
+            depth = max(depth, _along(simulation, "qpos", towards) - start_m)
+        speed = _along(simulation, "qvel", towards)
+        if held is None and silent_s > (THROUGH_STEPS - 0.5) * step_s and speed > 0:
+            held, taken = impulse, mass_kg * (speed_m_s**2 - speed**2) / 2
         if simulation.time_s > LONGEST_S:
             if silent_s >= AFTER_S or (site.evades and touched):
                 break
             fate = "has not left the person" if touched else "has touched nothing"
             raise SceneError(f"{site.name}: after {LONGEST_S} s, the ball of {mass_kg:g} kg {fate}")
-    if warnings := simulation.solver_warnings():
-        raise SceneError(f"MuJoCo warned while the {site.name} was struck: {', '.join(warnings)}")
-    momentum = mass_kg * speed_m_s
+    refuse_warnings(simulation, f"while the {site.name} was struck")
     return Blow(
-        site=site.name, mass_kg=mass_kg, speed_m_s=speed_m_s, peak_n=peak, momentum=impulse / momentum,
+        site=site.name,
+        mass_kg=mass_kg,
+        speed_m_s=speed_m_s,
+        peak_n=peak,
+        predicted_n=site.predicted_n(energy),
+        most_n=site.most_n(energy),
+        evades=site.evades,
+        momentum=impulse / momentum,
         held=(impulse if held is None else held) / momentum,
-        predicted_n=site.predicted_n(mass_kg * speed_m_s**2 / 2), most_n=site.most_n(mass_kg * speed_m_s**2 / 2),
-        evades=site.evades, stray_n=stray, depth_m=depth, taken_j=taken,
-    )  # fmt: skip
+        stray_n=stray,
+        depth_m=depth,
+        taken_j=taken,
+    )
 
 
-def _speed_m_s(simulation: Simulation, towards: Array) -> float:
-    """Of the ball, along a direction of the world."""
-    first = simulation.model.joint(f"{STRIKER}_x").dofadr[0]
-    return _along(simulation, simulation.data.qvel[first : first + 3], towards)
-
-
-def _way_m(simulation: Simulation, towards: Array) -> float:
-    """Where the ball is along a direction of the world."""
-    first = simulation.model.joint(f"{STRIKER}_x").qposadr[0]
-    return _along(simulation, simulation.data.qpos[first : first + 3], towards)
-
-
-def _along(simulation: Simulation, of_slides: Array, towards: Array) -> float:
-    into_world = simulation.data.body(simulation.robot.base_body).xmat.reshape(3, 3)
-    return float(into_world @ of_slides @ towards)
+def _along(simulation: Simulation, kind: Literal["qpos", "qvel"], towards: Array) -> float:
+    """Return the ball's position [m] or speed [m/s] along a direction of the world."""
+    joint, into_world = simulation.model.joint(f"{STRIKER}_x"), simulation.data.body(simulation.robot.base_body).xmat
+    first = int((joint.qposadr if kind == "qpos" else joint.dofadr)[0])
+    return float(into_world.reshape(3, 3) @ getattr(simulation.data, kind)[first : first + 3] @ towards)
 
 
 def _stray_n(simulation: Simulation, site: Site) -> float:
-    """Return the sum of the ball's contact forces on bodies other than the site's plate. The abdomen's shell is no
-    body.
-    """
+    """Return the sum of the ball's contact forces on bodies other than the site's plate, as no shell is."""
     model, data = simulation.model, simulation.data
     plate = model.body(plate_body(site.plate)).id if site.plate else -1
     total, wrench = 0.0, np.zeros(6)
@@ -533,10 +495,8 @@ def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
         centre = surface_point(simulation, site.region, site.beside_m) - (site.ball_m + GAP_M) * towards
     else:
         hulls = [g for g in range(model.ngeom) if model.geom(g).name.startswith("human_hull_")]
-        middle = (
-            data.geom(f"human_hull_{site.hull}").xpos if site.plate is None or site.hull
-            else data.body(plate_body(site.plate)).xipos
-        )  # fmt: skip
+        hull = data.geom(f"human_hull_{site.hull}").xpos if site.hull else None
+        middle = data.body(plate_body(site.plate or "")).xipos if hull is None else hull
         # The person lies with the head toward +x and the right side toward +y.
         centre = middle - FAR_M * towards + np.array([*site.beside_m, 0.0])
     for _ in range(APPROACHES):
@@ -564,7 +524,7 @@ def draw(result: CheckResult, figure: Figure) -> None:
     axes.plot(line, line, color="0.4", lw=0.8)
     for share in (-1, 1):
         axes.plot(line, line * (1 + share * TOLERANCE_PERCENT / 100), color="0.4", lw=0.8, ls=":")
-    axes.set(xscale="log", yscale="log", xlabel="largest force that the published stiffness predicts [N]",
-             ylabel="largest force [N]", title="knocks")  # fmt: skip
+    axes.set(xscale="log", yscale="log", ylabel="largest force [N]", title="knocks")
+    axes.set_xlabel("largest force that the published stiffness predicts [N]")
     axes.plot([], [], "o", ms=3.5, mfc="none", color="0.4", label="does not decide")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))

@@ -10,9 +10,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.errors import SceneError
-from carecontact.lab.validation.result import Array, CheckResult, Measure
-from carecontact.lab.validation.subject import Subject
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.subject import Subject, refuse_warnings
 from carecontact.sim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ STOP_TORQUE_NM = {"upper_arm": 8.0, "forearm_flexion": 5.0, "forearm_supination"
 a hand."""
 QUICK_STOPS = ("forearm_flexion", "upper_arm_rotation")
 STOP_RISE_S, STOP_S, OVERSHOOT_LIMIT_DEG, REACHED_DEG = 1.5, 2.0, 5.0, -2.0
-ROOT_HOLD_NMS = 1e6
+ROOT_HOLD_NMS, MOVES_MM = 1e6, 20.0
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -42,47 +41,38 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     curves: dict[str, Array] = {}
     for newton in QUICK_PUSHES_N if quick else PUSHES_N:
         time, moved, speed, fold = pushed_and_released(subject.at_rest("forearm"), newton)
-        released = time > PUSH_S
+        released, name = time > PUSH_S, f"{newton:+.0f} N"
         late = np.flatnonzero(released & (speed > REST_M_S))
+        rest = float(time[late[-1]] - PUSH_S) if len(late) else 0.0
+        bend = FOLD_LIMIT_DEG if abs(newton) <= FOLD_N else None
         measures += [
-            Measure(name=f"{newton:+.0f} N: wrist moves", value=1000 * float(moved[~released].max()), unit="mm",
-                    limit=20.0, side="at least"),
-            Measure(name=f"{newton:+.0f} N: time until it is at rest again", unit="s", limit=RELEASE_S - 0.5,
-                    value=float(time[late[-1]] - PUSH_S) if len(late) else 0.0),
-            Measure(name=f"{newton:+.0f} N: wrist bends", value=float(fold[~released].max()), unit="deg",
-                    limit=FOLD_LIMIT_DEG if abs(newton) <= FOLD_N else None),
-        ]  # fmt: skip
-        curves[f"push/{newton:+.0f} N"] = np.stack([time, 1000 * moved])
-    locked = subject.at_rest("forearm")
+            measured(f"{name}: wrist moves", 1000 * moved[~released].max(), "mm", at_least=MOVES_MM),
+            measured(f"{name}: time until it is at rest again", rest, "s", at_most=RELEASE_S - 0.5),
+            measured(f"{name}: wrist bends", fold[~released].max(), "deg", at_most=bend),
+        ]
+        curves[f"push/{name}"] = np.stack([time, 1000 * moved])
+    locked, most = subject.at_rest("forearm"), max(QUICK_PUSHES_N)
     lock_arm(locked)
-    time, moved, *_ = pushed_and_released(locked, max(QUICK_PUSHES_N), release_s=0.0)
-    measures.append(
-        Measure(name=f"{max(QUICK_PUSHES_N):+.0f} N on a locked arm: wrist moves", value=1000 * float(moved.max()),
-                unit="mm", limit=2.0)
-    )  # fmt: skip
+    time, moved, *_ = pushed_and_released(locked, most, release_s=0.0)
+    name = f"{most:+.0f} N on a locked arm: wrist moves"
+    measures.append(measured(name, 1000 * moved.max(), "mm", at_most=2.0))
     curves["push/locked"] = np.stack([time, 1000 * moved])
     force, moved = ramp(subject.at_rest("forearm"))
-    over = np.flatnonzero(moved > BREAKAWAY_M)
-    measures.append(
-        Measure(name="breakaway: push at which the wrist has moved 2 mm", unit="N",
-                value=float(force[over[0]]) if len(over) else float("nan"))
-    )  # fmt: skip
+    breakaway = np.append(force[moved > BREAKAWAY_M], np.nan)[0]
+    measures.append(measured("breakaway: push at which the wrist has moved 2 mm", breakaway, "N"))
     curves["ramp"] = np.stack([force, 1000 * moved])
     for hinge in subject.scene("forearm").hinges:
         side, _, rest = hinge.name.partition("_")
         if side != "right" or (quick and rest not in QUICK_STOPS):
             continue
+        joint = rest.replace("_", " ")
         torque = next(value for part, value in STOP_TORQUE_NM.items() if rest.startswith(part))
         for sign in (1.0,) if quick else (1.0, -1.0):
             time, past = into_end_stop(subject.at_rest("forearm"), hinge.name, sign * torque)
-            name = f"{rest.replace('_', ' ')} {sign * torque:+.1f} N m"
-            measures += [
-                Measure(name=f"{name}: past its end stop, most", value=float(past.max()), unit="deg",
-                        limit=OVERSHOOT_LIMIT_DEG),
-                Measure(name=f"{name}: past its end stop, at last", value=float(past[-1]), unit="deg",
-                        limit=REACHED_DEG, side="at least"),
-            ]  # fmt: skip
-            curves[f"stop/{rest.replace('_', ' ')} {'+' if sign > 0 else '-'}"] = np.stack([time, past])
+            name = f"{joint} {sign * torque:+.1f} N m: past its end stop"
+            measures.append(measured(f"{name}, most", past.max(), "deg", at_most=OVERSHOOT_LIMIT_DEG))
+            measures.append(measured(f"{name}, at last", past[-1], "deg", at_least=REACHED_DEG))
+            curves[f"stop/{joint} {'+' if sign > 0 else '-'}"] = np.stack([time, past])
     return CheckResult(check="passive-response", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -102,8 +92,7 @@ def push_periods(simulation: Simulation, duration_s: float, newton_at: npt.Array
         data.xfrc_applied[forearm, :3] = force
         data.xfrc_applied[forearm, 3:] = np.cross(data.site("region_forearm").xpos - data.xipos[forearm], force)
         simulation.advance(steps)
-        if warnings := simulation.solver_warnings():
-            raise SceneError(f"MuJoCo warned while the arm was pushed: {', '.join(warnings)}")
+        refuse_warnings(simulation, "while the arm was pushed")
         yield float(newton)
 
 
@@ -111,8 +100,7 @@ def pushed_and_released(
     simulation: Simulation, newton: float, *, release_s: float = RELEASE_S
 ) -> tuple[Array, Array, Array, Array]:
     """Push and release the arm; return time [s], horizontal displacement of the wrist [m], the person's speed [m/s] and
-    the larger of the angles [deg] by which flexion and deviation of the wrist have changed, each (n,).
-    """
+    the larger of the angles [deg] by which flexion and deviation of the wrist have changed, each (n,)."""
     wrist = simulation.model.body("human_right_hand").id
     hinges = [int(simulation.model.joint(f"human_right_hand_{way}").qposadr[0]) for way in ("flexion", "deviation")]
     before, straight = simulation.data.xpos[wrist].copy(), simulation.data.qpos[hinges]
@@ -165,8 +153,7 @@ def into_end_stop(simulation: Simulation, joint: str, torque_nm: float) -> tuple
         mujoco.mj_step(model, data, steps)
         angle = data.qpos[address]
         rows.append((data.time, np.degrees(angle - high if torque_nm > 0 else low - angle)))
-    if warnings := simulation.solver_warnings():
-        raise SceneError(f"MuJoCo warned while {joint} was turned into its end stop: {', '.join(warnings)}")
+    refuse_warnings(simulation, f"while {joint} was turned into its end stop")
     time, past = np.array(rows).T
     return time - time[0], past
 
@@ -174,26 +161,26 @@ def into_end_stop(simulation: Simulation, joint: str, torque_nm: float) -> tuple
 def draw(result: CheckResult, figure: Figure) -> None:
     figure.set_size_inches(8.4, 2.6)
     left, middle, right = figure.subplots(1, 3)
-    for name, (time, moved) in ((k, v) for k, v in result.curves.items() if k.startswith("push/")):
-        locked = name.endswith("locked")
-        left.plot(time, moved, "--" if locked else "-", color="0.4" if locked else None,
-                  label="arm locked" if locked else name.removeprefix("push/"))  # fmt: skip
+    pushes, stops = ({k.removeprefix(kind): v for k, v in result.curves.items() if k.startswith(kind)}
+                     for kind in ("push/", "stop/"))  # fmt: skip
+    for name, (time, moved) in pushes.items():
+        locked = name == "locked"
+        style = {"ls": "--", "color": "0.4", "label": "arm locked"} if locked else {"label": name}
+        left.plot(time, moved, **style)
     left.axvspan(0, PUSH_S, color="0.94", zorder=0)
-    left.axhline(20.0, color="0.4", lw=0.8, ls=":")
+    left.axhline(MOVES_MM, color="0.4", lw=0.8, ls=":")
     left.set(xlabel="time [s]", ylabel="wrist moved [mm]", title="pushed (grey) and let go")
     left.set_ylim(-20, 1.45 * left.get_ylim()[1])
     left.legend(ncols=2, loc="upper right", handlelength=1.2)
-    force, moved = result.curves["ramp"]
-    middle.plot(force, moved)
+    middle.plot(*result.curves["ramp"])
     middle.axhline(1000 * BREAKAWAY_M, color="0.4", lw=0.8, ls=":")
-    middle.set(xlabel="push [N]", ylabel="wrist moved [mm]", title="slow push: breakaway", yscale="log",
-               ylim=(0.1, None))  # fmt: skip
-    stops = {k.removeprefix("stop/"): v for k, v in result.curves.items() if k.startswith("stop/")}
+    middle.set(xlabel="push [N]", ylabel="wrist moved [mm]", title="slow push: breakaway", yscale="log")
+    middle.set_ylim(0.1, None)
     joints = list(dict.fromkeys(name.rpartition(" ")[0] for name in stops))
     for name, (time, past) in stops.items():
         joint, _, sign = name.rpartition(" ")
-        right.plot(time, past, "-" if sign == "+" else "--", lw=0.9, color=f"C{joints.index(joint)}",
-                   label=joint if sign == "+" else None)  # fmt: skip
+        style, label = ("-", joint) if sign == "+" else ("--", None)
+        right.plot(time, past, style, lw=0.9, color=f"C{joints.index(joint)}", label=label)
     right.axhline(0.0, color="0.4", lw=0.8)
     right.axhline(OVERSHOOT_LIMIT_DEG, color="0.4", lw=0.8, ls=":")
     right.set(xlabel="time [s]", ylabel="angle past the end stop [deg]", ylim=(-40, 12), title="into the end stops")

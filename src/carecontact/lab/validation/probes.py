@@ -1,4 +1,4 @@
-"""Four scripted sweeps in simulation: each score must follow the one property of a contact that it measures.  It is not
+"""Four scripted sweeps in simulation: each score must follow the one property of a contact that it measures. It is not
 enough that a score rises with a sweep, because in a deeper push the mean force rises with the peak. Each score is
 therefore also compared with the same quantity, measured without the scorer's streams, and everything else in a trial is
 the same over a sweep."""
@@ -14,7 +14,7 @@ import numpy as np
 
 from carecontact.human.skeleton import body_name
 from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, measured
 from carecontact.lab.validation.rig import AnchorForce
 from carecontact.lab.validation.subject import DOWN, Subject, axes, in_base, recording_of, surface_point
 from carecontact.recording.schema import Recording
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-
-# The scripted trials of the probes: each level changes one quantity, which is also measured without the scorer.
 
 BENT = "left_hand_deviation"
 """The joint that is turned: a small torque takes it past either end, and it moves nothing into the robot's path."""
@@ -61,16 +59,14 @@ class _Motion:
     """Moves the tool, pointing down, from target to target over the region; calls ``each`` after every physics step."""
 
     def __init__(self, simulation: Simulation, region: str, each: Callable[[], None] | None = None) -> None:
-        self.simulation, self.each = simulation, each
+        self.simulation, self.region, self.each = simulation, region, each
         self.period_s = simulation.protocol.physics.target_period_s
         self.top = surface_point(simulation, region)
         self.along = axes(simulation, region)[0]
         self.samples: list[Samples] = []
 
     def go(self, depth_m: float, seconds: float, *, along_m: float = 0.0, turn_rad: float = 0.0) -> None:
-        """Move the target. ``depth_m``: depth under the skin, negative above it. ``turn_rad``: angle about the tool's
-        own axis.
-        """
+        """Move the target to a depth under the skin, negative above it, turned about the tool's own axis."""
         spin = np.array([np.cos(turn_rad / 2), 0.0, 0.0, np.sin(turn_rad / 2)])
         quat = quat_from_matrix(matrix_from_quat(DOWN) @ matrix_from_quat(spin))
         place = in_base(self.simulation, self.top + along_m * self.along - [0.0, 0.0, depth_m])
@@ -79,12 +75,15 @@ class _Motion:
 
     def wait(self, seconds: float) -> None:
         steps = round(seconds / self.simulation.model.opt.timestep)
-        if self.each is None:
-            self.samples += self.simulation.advance(steps)
-            return
-        for _ in range(steps):
-            self.samples += self.simulation.advance(1)
-            self.each()
+        for chunk in [1] * steps if self.each else [steps]:
+            self.samples += self.simulation.advance(chunk)
+            if self.each:
+                self.each()
+
+    def trial(self, known: float, held: Mapping[str, float]) -> Trial:
+        """Return the trial that ends here, whose duration the sweep keeps as well."""
+        recording = recording_of(self.simulation, self.region, self.samples)
+        return Trial(recording=recording, known=known, held={**held, "duration [s]": self.simulation.time_s})
 
 
 class _Force:
@@ -112,17 +111,11 @@ def deeper_push(simulation: Simulation, region: str, depth_mm: float) -> Trial:
     """
     force = _Force(simulation, region)
     motion = _Motion(simulation, region, force)
-    motion.go(PRESS_M, RISE_S)
-    motion.wait(REST_S)
-    motion.go(depth_mm / 1000, RISE_S)
-    motion.wait(TOP_S)
-    motion.go(PRESS_M, RISE_S)
-    motion.wait(REST_S)
+    for depth_m, rest_s in ((PRESS_M, REST_S), (depth_mm / 1000, TOP_S), (PRESS_M, REST_S)):
+        motion.go(depth_m, RISE_S)
+        motion.wait(rest_s)
     motion.go(-HOVER_M, AWAY_S)
-    return Trial(
-        recording=recording_of(simulation, region, motion.samples), known=max(force.norms),
-        held={"median force [N]": float(np.median(force.touching)), "duration [s]": simulation.time_s},
-    )  # fmt: skip
+    return motion.trial(max(force.norms), {"median force [N]": float(np.median(force.touching))})
 
 
 def joint_turned(simulation: Simulation, region: str, torque_nm: float) -> Trial:
@@ -146,10 +139,7 @@ def joint_turned(simulation: Simulation, region: str, torque_nm: float) -> Trial
     motion.go(TOUCH_M, RISE_S)
     motion.wait(TOUCH_S - RISE_S)
     motion.go(-HOVER_M, AWAY_S)
-    return Trial(
-        recording=recording_of(simulation, region, motion.samples), known=min(turned),
-        held={"peak force [N]": max(force.norms), "duration [s]": simulation.time_s},
-    )  # fmt: skip
+    return motion.trial(min(turned), {"peak force [N]": max(force.norms)})
 
 
 def hand_margin(simulation: Simulation) -> float:
@@ -182,11 +172,7 @@ def stop_and_go(simulation: Simulation, region: str, pause_s: float) -> Trial:
     dt, limits = simulation.model.opt.timestep, simulation.protocol.contact
     speed, rotation = differentiated(np.concatenate([s.tcp_pose for s in motion.samples]), dt)
     active = (speed > limits.active_speed_m_s) | (rotation > limits.active_rotation_rad_s)
-    return Trial(
-        recording=recording_of(simulation, region, motion.samples),
-        known=float(active.mean()),
-        held={"way [m]": float(speed.sum() * dt), "duration [s]": simulation.time_s},
-    )
+    return motion.trial(float(active.mean()), {"way [m]": float(speed.sum() * dt)})
 
 
 def differentiated(pose: Array, dt_s: float) -> tuple[Array, Array]:
@@ -214,10 +200,7 @@ def swinging_force(simulation: Simulation, region: str, amplitude_mm: float) -> 
         motion.go(SWING_M + amplitude_mm / 1000 * np.sin(phase), motion.period_s)
     motion.go(-HOVER_M, QUICK_S)
     motion.wait(AWAY_S)
-    return Trial(
-        recording=recording_of(simulation, region, motion.samples), known=float(force.touching.std()),
-        held={"mean force [N]": float(force.touching.mean()), "duration [s]": simulation.time_s},
-    )  # fmt: skip
+    return motion.trial(float(force.touching.std()), {"mean force [N]": float(force.touching.mean())})
 
 
 HELD = 0.10
@@ -247,21 +230,26 @@ class Probe:
 
 
 PROBES: Mapping[str, Probe] = {
-    probe.metric: probe
-    for probe in (
-        Probe(metric="C1@1", title="deeper push", level="commanded depth [mm]", region="forearm",
-              levels=(12.0, 20.0, 28.0, 36.0, 44.0), direction=1, step=1.0,
-              known="largest force in the tissue's springs", tolerance=0.2, script=deeper_push),
-        Probe(metric="C2@1", title="joint past its ends", level="torque [N m]", region="abdomen",
-              levels=(-5.5, -4.5, -3.5, -2.5, -1.5, 1.5, 2.5, 3.5, 4.5, 5.5), direction=-1, step=0.001,
-              known="margin computed from the poses of the bones", tolerance=0.0005, script=joint_turned),
-        Probe(metric="C4@1", title="stop and go", level="pause after each way [s]", region="forearm",
-              levels=(0.4, 0.65, 0.9, 1.15, 1.4), direction=-1, step=0.04,
-              known="share computed from differences of poses", tolerance=0.005, script=stop_and_go),
-        Probe(metric="C5@1", title="swinging force", level="amplitude of depth [mm]", region="forearm",
-              levels=(2.0, 5.0, 8.0, 11.0, 14.0), direction=1, step=0.15,
-              known="spread of force in the tissue's springs", tolerance=0.05, script=swinging_force),
-    )
+    "C1@1": Probe(
+        metric="C1@1", title="deeper push", level="commanded depth [mm]", region="forearm", direction=1, step=1.0,
+        levels=(12.0, 20.0, 28.0, 36.0, 44.0),
+        known="largest force in the tissue's springs", tolerance=0.2, script=deeper_push,
+    ),
+    "C2@1": Probe(
+        metric="C2@1", title="joint past its ends", level="torque [N m]", region="abdomen", direction=-1, step=0.001,
+        levels=(-5.5, -4.5, -3.5, -2.5, -1.5, 1.5, 2.5, 3.5, 4.5, 5.5),
+        known="margin computed from the poses of the bones", tolerance=0.0005, script=joint_turned,
+    ),
+    "C4@1": Probe(
+        metric="C4@1", title="stop and go", level="pause after each way [s]", region="forearm", direction=-1, step=0.04,
+        levels=(0.4, 0.65, 0.9, 1.15, 1.4),
+        known="share computed from differences of poses", tolerance=0.005, script=stop_and_go,
+    ),
+    "C5@1": Probe(
+        metric="C5@1", title="swinging force", level="amplitude of depth [mm]", region="forearm", direction=1,
+        step=0.15, levels=(2.0, 5.0, 8.0, 11.0, 14.0),
+        known="spread of force in the tissue's springs", tolerance=0.05, script=swinging_force,
+    ),
 }  # fmt: skip
 """Metric -> its probe. C3 has none because it is a verdict and not a measurement; reports have sweeps of its gates."""
 
@@ -273,28 +261,24 @@ def sweep(subject: Subject, probe: Probe) -> list[Trial]:
 
 def judge(probe: Probe, trials: Sequence[Trial], metric: Metric) -> CheckResult:
     """Judge a sweep: at every level the score must equal the known quantity, every step must change it in the right
-    direction and by enough, and the quantities that the sweep keeps must stay the same.
-    """
+    direction and by enough, and the quantities that the sweep keeps must stay the same."""
     scores = [metric.compute(find_contact(trial.recording)) for trial in trials]
     values = np.array([np.nan if score is None else score for score in scores], np.float64)
     known = np.array([trial.known for trial in trials])
-    return CheckResult(
-        check=probe.metric, title=f"{metric.title}: {probe.title}",
-        measures=(
-            *(Measure(name=f"{probe.level} {level:g}", value=float(value), unit=metric.unit)
-              for level, value in zip(probe.levels, values, strict=True)),
-            Measure(name="levels with a score", value=float(np.isfinite(values).sum()),
-                    limit=float(len(probe.levels)), side="at least"),
-            Measure(name=f"smallest step by which the score {'rises' if probe.direction > 0 else 'falls'}",
-                    value=float(steps(probe, values).min()), unit=metric.unit, limit=probe.step, side="at least"),
-            Measure(name=f"largest difference from the {probe.known}", value=float(np.abs(values - known).max()),
-                    unit=metric.unit, limit=probe.tolerance),
-            *(Measure(name=f"kept the same: {name}, range over mean", limit=HELD,
-                      value=spread(np.array([trial.held[name] for trial in trials])))
-              for name in trials[0].held),
-        ),
-        curves={"scores": np.stack([np.array(probe.levels), values]), "known": known},
-    )  # fmt: skip
+    least, direction = steps(probe, values).min(), "rises" if probe.direction > 0 else "falls"
+    off, unit = np.abs(values - known).max(), metric.unit
+    measures = [
+        *(measured(f"{probe.level} {at:g}", value, unit) for at, value in zip(probe.levels, values, strict=True)),
+        measured("levels with a score", np.isfinite(values).sum(), at_least=float(len(probe.levels))),
+        measured(f"smallest step by which the score {direction}", least, unit, at_least=probe.step),
+        measured(f"largest difference from the {probe.known}", off, unit, at_most=probe.tolerance),
+    ]
+    for name in trials[0].held:
+        varies = spread(np.array([trial.held[name] for trial in trials]))
+        measures.append(measured(f"kept the same: {name}, range over mean", varies, at_most=HELD))
+    curves = {"scores": np.stack([np.array(probe.levels), values]), "known": known}
+    title = f"{metric.title}: {probe.title}"
+    return CheckResult(check=probe.metric, title=title, measures=tuple(measures), curves=curves)
 
 
 def steps(probe: Probe, values: Array) -> Array:
@@ -313,7 +297,6 @@ def run(subject: Subject, probe: Probe) -> CheckResult:
 
 
 def draw(results: Sequence[CheckResult], figure: Figure) -> None:
-    """Draw one panel for each probe."""
     figure.set_size_inches(2.0 * len(results), 2.2)
     for panel, result in zip(np.atleast_1d(figure.subplots(1, len(results))), results, strict=True):
         probe = PROBES[result.check]
@@ -321,9 +304,9 @@ def draw(results: Sequence[CheckResult], figure: Figure) -> None:
         if "known" in result.curves:
             panel.plot(level, result.curves["known"], "s", ms=7, mfc="none", color="0.5", label="independent reference")
         for side in (level < 0, level >= 0):
-            panel.plot(level[side], score[side], "o-", ms=4, color="C0" if result.passed else "C1",
-                      label="score" if side[-1] else None)  # fmt: skip
-        unit = {"1": "", "rad": " [rad]", "N": " [N]"}.get(METRICS[result.check].unit, "")
+            colour, label = "C0" if result.passed else "C1", "score" if side[-1] else None
+            panel.plot(level[side], score[side], "o-", ms=4, color=colour, label=label)
+        unit = {"rad": " [rad]", "N": " [N]"}.get(METRICS[result.check].unit, "")
         panel.set(xlabel=probe.level, ylabel=f"{result.check}{unit}", title=probe.title)
         if not result.passed:
             panel.text(0.5, 0.5, "failed", transform=panel.transAxes, ha="center", color="C1")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Literal
+from typing import Any, Literal, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Side = Literal["at most", "at least", "below"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +23,7 @@ class Measure:
     value: float
     unit: str = ""
     limit: float | None = None
-    side: Literal["at most", "at least", "below"] = "at most"
+    side: Side = "at most"
     decides: bool = True
     """Whether the limit decides. If not, it is shown, but missing it does not fail the check."""
 
@@ -30,11 +32,8 @@ class Measure:
         """Whether the limit is met; None without a limit. A value that is not finite never meets one."""
         if self.limit is None:
             return None
-        if not isfinite(self.value):
-            return False
-        if self.side == "below":
-            return self.value < self.limit
-        return self.value <= self.limit if self.side == "at most" else self.value >= self.limit
+        holds = {"at most": operator.le, "at least": operator.ge, "below": operator.lt}[self.side]
+        return isfinite(self.value) and holds(self.value, self.limit)
 
     def as_json(self) -> dict[str, Any]:
         """Return the measure with six digits; further digits are rounding of the platform and no measurement."""
@@ -43,6 +42,15 @@ class Measure:
         if self.limit is not None:
             out |= {"limit": self.limit, "side": self.side, "decides": self.decides, "met": self.met}
         return out
+
+
+def measured(
+    name: str, value: SupportsFloat, unit: str = "", *, at_most: float | None = None, at_least: float | None = None,
+    below: float | None = None, decides: bool = True,
+) -> Measure:  # fmt: skip
+    limits: tuple[tuple[Side, float | None], ...] = (("at least", at_least), ("below", below))
+    side, limit = next((pair for pair in limits if pair[1] is not None), ("at most", at_most))
+    return Measure(name=name, value=float(value), unit=unit, limit=limit, side=side, decides=decides)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +75,7 @@ class CheckResult:
         return [m for m in self.measures if m.decides and m.met is False]
 
     def regions(self, curve: str) -> list[str]:
-        """Return the regions that have such a curve, named ``<region>/<curve>``, in the order in which they were
-        run.
-        """
+        """Return the regions that have such a curve, named ``<region>/<curve>``, in the order of the check."""
         return [region for region, _, name in (key.partition("/") for key in self.curves) if name == curve]
 
     def value(self, name: str) -> float:
@@ -80,7 +86,5 @@ class CheckResult:
         return values[name]
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "check": self.check, "title": self.title, "passed": self.passed, "error": self.error,
-            "measures": [m.as_json() for m in self.measures],
-        }  # fmt: skip
+        head = {"check": self.check, "title": self.title, "passed": self.passed, "error": self.error}
+        return {**head, "measures": [m.as_json() for m in self.measures]}

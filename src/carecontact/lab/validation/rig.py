@@ -1,9 +1,8 @@
-"""Benches on which a region is pressed, the independent paths along which a force is measured, and the published human
-curves that it is compared with."""
+"""Benches on which a region is pressed, independent paths of measuring a force, and published human curves."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import mujoco
@@ -22,21 +21,23 @@ from carecontact.sim.simulation import Simulation
 from carecontact.tissue.plugin import Law, Readings
 from carecontact.world.scene import set_physics
 
-# Published human force-indentation curves that the person is compared with. Loading only; no manikin was measured.
-#
-# Limbs: derived from the MULTIS in-vivo ultrasound indentation study (Neumann et al. 2018, Sci Data 5:180193; 2019, J
-# Biomech 95:109307), 91 to 95 adults a site, flat ultrasound probe, here a disc of the same area. The secant stiffness
-# and its P5-P95 are measured; the curvature of F = a d + b d^2 is inferred from two R-squared values. The band scales
-# the median curve by the secant's percentiles.
-#
-# Abdomen: Remus et al. 2024, Front Bioeng Biotechnol 12:1384062, supplement S1 (CC BY 4.0): hemisphere of 10 mm radius
-# at 5 mm/s, relaxed, ten men, mean of sites R1 to R5 and of the participants.
-
 SPEED_M_S = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
+    """A published human force-indentation curve that the person is compared with. All are of loading, none is of a
+    manikin.
+
+    Limbs: derived from the MULTIS in-vivo ultrasound indentation study (Neumann et al. 2018, Sci Data 5:180193; 2019, J
+    Biomech 95:109307), 91 to 95 adults a site, flat ultrasound probe, here a disc of the same area. The secant
+    stiffness and its P5-P95 are measured; the curvature of F = a d + b d^2 is inferred from two R-squared values. The
+    band scales the median curve by the secant's percentiles.
+
+    Abdomen: Remus et al. 2024, Front Bioeng Biotechnol 12:1384062, supplement S1 (CC BY 4.0): hemisphere of 10 mm
+    radius at 5 mm/s, relaxed, ten men, mean of sites R1 to R5 and of the participants.
+    """
+
     name: str
     region: str
     """Region whose shell is pressed for the comparison."""
@@ -50,43 +51,29 @@ class Reference:
     high_n: Array
     """(n,) P95"""
 
-    def times(self, factor: float) -> Reference:
-        """Return the reference with the middle curve multiplied by a factor; its band is unchanged."""
-        return replace(self, force_n=factor * self.force_n)
 
-
-def _limb(
-    name: str, region: str, *, area_mm2: float, a: float, b: float, secant: tuple[float, float, float], depth_mm: float
-) -> Reference:
-    """Make a limb's reference. ``a`` [N/mm] and ``b`` [N/mm^2] belong to the median curve; ``secant`` is its stiffness
-    at P5, median and P95 [N/mm].
-    """
-    depth = np.linspace(0.0, depth_mm, 19)
-    force = a * depth + b * depth**2
-    low, middle, high = secant
+def _limb(name: str, area_mm2: float, a: float, b: float, secant: tuple[float, float, float], end: float) -> Reference:
+    """Make a limb's reference. ``a`` [N/mm], ``b`` [N/mm^2] and the last depth ``end`` [mm] belong to the median curve;
+    ``secant`` is its stiffness at P5, median and P95 [N/mm]."""
+    depth = np.linspace(0.0, end, 19)
+    force, (low, middle, high) = a * depth + b * depth**2, secant
     return Reference(
-        name=name, region=region, depth_m=depth / 1000, force_n=force, low_n=force * low / middle,
-        high_n=force * high / middle, indenter=Indenter(shape="flat", size_m=float(np.sqrt(area_mm2 / np.pi)) / 1000),
-    )  # fmt: skip
+        name=name,
+        region=name.partition(",")[0].replace(" ", "_"),
+        indenter=Indenter(shape="flat", size_m=float(np.sqrt(area_mm2 / np.pi)) / 1000),
+        depth_m=depth / 1000,
+        force_n=force,
+        low_n=force * low / middle,
+        high_n=force * high / middle,
+    )
 
 
-FOREARM = _limb(
-    "forearm, anterior (MULTIS LA_A)", "forearm", area_mm2=360.0, a=0.8615, b=0.07327, secant=(0.7445, 1.1903, 2.1519),
-    depth_mm=4.487,
-)  # fmt: skip
-FOREARM_POSTERIOR = _limb(
-    "forearm, posterior (MULTIS LA_P)", "forearm", area_mm2=360.0, a=1.0018, b=0.11113, secant=(0.8053, 1.4693, 2.7353),
-    depth_mm=4.207,
-)  # fmt: skip
-UPPER_ARM_ANTERIOR = _limb(
-    "upper arm, anterior (MULTIS UA_A)", "upper_arm", area_mm2=360.0, a=0.3893, b=0.03126,
-    secant=(0.4341, 0.6445, 1.4601), depth_mm=8.163,
-)  # fmt: skip
+FOREARM = _limb("forearm, anterior (MULTIS LA_A)", 360.0, 0.8615, 0.07327, (0.7445, 1.1903, 2.1519), 4.487)
+FOREARM_POSTERIOR = _limb("forearm, posterior (MULTIS LA_P)", 360.0, 1.0018, 0.11113, (0.8053, 1.4693, 2.7353), 4.207)
+UPPER_ARM_ANTERIOR = _limb("upper arm, anterior (MULTIS UA_A)", 360.0, 0.3893, 0.03126, (0.4341, 0.6445, 1.4601), 8.163)
 UPPER_ARM_POSTERIOR = _limb(
-    "upper arm, posterior (MULTIS UA_P)", "upper_arm", area_mm2=675.0, a=0.5414, b=0.03211,
-    secant=(0.3890, 0.7968, 1.3969), depth_mm=7.951,
-)  # fmt: skip
-
+    "upper arm, posterior (MULTIS UA_P)", 675.0, 0.5414, 0.03211, (0.3890, 0.7968, 1.3969), 7.951
+)
 _ABDOMEN = np.array([
     [0.0, 0.0, 0.0, 0.0], [2.0, 0.4109, 0.3622, 0.4742], [4.0, 0.8700, 0.7574, 1.0022], [6.0, 1.3780, 1.1852, 1.5921],
     [8.0, 1.9381, 1.6594, 2.2478], [10.0, 2.5557, 2.1901, 2.9739], [12.0, 3.2381, 2.7861, 3.7770],
@@ -95,10 +82,14 @@ _ABDOMEN = np.array([
 ])  # fmt: skip
 """Depth [mm], force, P5, P95 [N]."""
 ABDOMEN = Reference(
-    name="abdomen, R1-R5 (Remus 2024)", region="abdomen", indenter=Indenter(shape="hemisphere", size_m=0.010),
-    depth_m=_ABDOMEN[:, 0] / 1000, force_n=_ABDOMEN[:, 1], low_n=_ABDOMEN[:, 2], high_n=_ABDOMEN[:, 3],
-)  # fmt: skip
-
+    name="abdomen, R1-R5 (Remus 2024)",
+    region="abdomen",
+    indenter=Indenter(shape="hemisphere", size_m=0.010),
+    depth_m=_ABDOMEN[:, 0] / 1000,
+    force_n=_ABDOMEN[:, 1],
+    low_n=_ABDOMEN[:, 2],
+    high_n=_ABDOMEN[:, 3],
+)
 FITTED: dict[str, tuple[Reference, ...]] = {
     "paper-mapping": (FOREARM, ABDOMEN),
     "human-published": (FOREARM, UPPER_ARM_ANTERIOR, ABDOMEN),
@@ -109,41 +100,28 @@ REFERENCES = (FOREARM, FOREARM_POSTERIOR, UPPER_ARM_ANTERIOR, UPPER_ARM_POSTERIO
 whichever side of the limb was measured."""
 
 
-# The person under test on the tissue bench, with the law of the compiled scene.
-
-
-def person_bench(
-    subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
-) -> Bench:
+def person_bench(subject: Subject, region: str, indenter: Indenter, *, glides: bool = False) -> Bench:
     """Return a bench with the stiffness, damping, mass, friction and contact of the compiled person, whatever the
-    protocol says.
-    """
-    bench = declared_bench(subject, region, indenter, dt_s=dt_s, glides=glides)
+    protocol says."""
+    bench = declared_bench(subject, region, indenter, glides=glides)
     for kind in ("law", "options"):
         bench.model.numeric(f"{region}/{kind}").data[:] = subject.scene(region).model.numeric(f"{region}/{kind}").data
     return bench
 
 
-def declared_bench(
-    subject: Subject, region: str, indenter: Indenter, *, dt_s: float | None = None, glides: bool = False
-) -> Bench:
+def declared_bench(subject: Subject, region: str, indenter: Indenter, *, glides: bool = False) -> Bench:
     """Return a bench with the law that the protocol declares, on the person's own mesh."""
-    scene = subject.scene(region)
+    scene, dt_s = subject.scene(region), subject.protocol.physics.dt_s
+    tissue, shell = subject.tissue(region), scene.regions[region].shell
     return Bench(
-        body=scene.body, region=region, tissue=subject.tissue(region), indenter=indenter,
-        dt_s=dt_s or subject.protocol.physics.dt_s, shell=scene.regions[region].shell, glides=glides,
-    )  # fmt: skip
+        body=scene.body, region=region, tissue=tissue, indenter=indenter, dt_s=dt_s, shell=shell, glides=glides
+    )
 
 
 def tool(subject: Subject) -> Indenter:
     """Return the tool of the protocol's robot, lying across the region."""
     return Indenter(shape="cap", tip=subject.protocol.scene.robot.tip)
 
-
-# A region of the person on a held bone, without gravity, and a rigid tool over its middle that is free or driven.
-#
-# Unlike the bench's indenter, the tool has a mass, may slide along the skin and may have any shape, and the compiled
-# tissue keeps its ledger of energy.
 
 HEAVY_KG = 1e6
 """A tool of this mass moves as prescribed, whatever force acts on it."""
@@ -164,24 +142,22 @@ class Tool:
     """Height of its centre over its lowest point."""
     give_m3_n: float = 0.0
     """Compliance of its surface [m/Pa]."""
-    turned: tuple[float, ...] = field(default=(1.0, 0.0, 0.0, 0.0))
+    turned: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     """quat_wxyz"""
 
 
 def of_tip(name: str, tip: Tip) -> Tool:
-    return Tool(
-        name=name, kind=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size_m=tip.half_m, height_m=tip.half_m[2],
-        give_m3_n=tip.give_m3_n,
-    )  # fmt: skip
+    kind = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+    return Tool(name=name, kind=kind, size_m=tip.half_m, height_m=tip.half_m[2], give_m3_n=tip.give_m3_n)
 
 
 CAP = of_tip("cap", EMBODIMENTS["caps"].tip)
 PAD = Tool(name="pad", kind=mujoco.mjtGeom.mjGEOM_BOX, size_m=(0.015, 0.020, 0.006), height_m=0.006)
 """30 x 40 x 12 mm, with the rounded edges that the compiled tissue gives a box."""
+_ACROSS = (float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
 FLANK = Tool(
-    name="flank", kind=mujoco.mjtGeom.mjGEOM_CAPSULE, size_m=(0.030, 0.050, 0.0), height_m=0.030,
-    turned=(float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0),
-)  # fmt: skip
+    name="flank", kind=mujoco.mjtGeom.mjGEOM_CAPSULE, size_m=(0.030, 0.050, 0.0), height_m=0.030, turned=_ACROSS
+)
 """About the size of the side of the robot's hand, across the region."""
 
 
@@ -192,7 +168,10 @@ def robot_tool(subject: Subject) -> Tool:
 
 
 class Rig:
-    """One world with a tool on a region; ``reset`` puts it back to the beginning.
+    """A region of the person on a held bone, without gravity, and a rigid tool over its middle that is free or driven.
+
+    Unlike the bench's indenter, the tool has a mass, may slide along the skin and may have any shape, and the compiled
+    tissue keeps its ledger of energy. ``reset`` puts the world back to its beginning.
 
     Args:
         joints: "free", or "slides": first along the region, then away from the skin.
@@ -205,40 +184,35 @@ class Rig:
         self, subject: Subject, region: str, tool: Tool, *, joints: Literal["free", "slides"], mass_kg: float = 1.0,
         dt_s: float | None = None, at: tuple[Array, Array] | None = None,
     ) -> None:  # fmt: skip
-        scene = subject.scene(region)
+        scene, segment = subject.scene(region), REGIONS[region].segment
         self.shell = scene.regions[region].shell
-        self._origin = scene.body.joint_centre[REGIONS[region].segment]
         spec = mujoco.MjSpec()
         set_physics(spec, dt_s=dt_s or subject.protocol.physics.dt_s)
         spec.option.gravity = [0, 0, 0]
-        spec.worldbody.add_body(name=body_name(REGIONS[region].segment))
+        spec.worldbody.add_body(name=body_name(segment))
         add_tissue(spec, scene.body, region, self.shell, subject.tissue(region), tools="tool", ledger=True)
-        self._add_tool(spec, tool, joints, mass_kg, *(at or middle(self.shell)))
+        point, axes = at or middle(self.shell)
+        self._skin = (self.shell.vertices - point) @ axes
+        self._wide_m = max(WIDE_M, *tool.size_m[:2]) if tool.kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else WIDE_M
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, axes.ravel())
+        position = point - scene.body.joint_centre[segment] + tool.height_m * axes[:, 2]
+        body = spec.worldbody.add_body(name="tool", pos=position, quat=quat)
+        if joints == "free":
+            body.add_freejoint()
+        else:
+            for axis in ([1, 0, 0], [0, 0, 1]):
+                body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        size = [*tool.size_m, 0, 0][:3]
+        geom = body.add_geom(type=tool.kind, size=size, quat=tool.turned, mass=mass_kg, contype=1, conaffinity=0)
+        if tool.give_m3_n:
+            spec.nuser_geom, geom.userdata = 1, [tool.give_m3_n]
         self.model = spec.compile()
         law = f"{region}/law"
         self.model.numeric(law).data[:] = scene.model.numeric(law).data
         self.data = mujoco.MjData(self.model)
         self.felt = Readings(self.model, region)
         self.reset()
-
-    def _add_tool(
-        self, spec: mujoco.MjSpec, tool: Tool, joints: str, mass_kg: float, point: Array, axes: Array
-    ) -> None:  # fmt: skip
-        self._skin = (self.shell.vertices - point) @ axes
-        self._wide_m = max(WIDE_M, *tool.size_m[:2]) if tool.kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else WIDE_M
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, axes.ravel())
-        body = spec.worldbody.add_body(name="tool", pos=point - self._origin + tool.height_m * axes[:, 2], quat=quat)
-        if joints == "free":
-            body.add_freejoint()
-        else:
-            for axis in ([1, 0, 0], [0, 0, 1]):
-                body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        geom = body.add_geom(
-            type=tool.kind, size=[*tool.size_m, 0, 0][:3], quat=tool.turned, mass=mass_kg, contype=1, conaffinity=0
-        )
-        if tool.give_m3_n:
-            spec.nuser_geom, geom.userdata = 1, [tool.give_m3_n]
 
     def reset(self, *, position: npt.ArrayLike = (), velocity: npt.ArrayLike = ()) -> None:
         """Put the tool, at rest or moving, on the first of its coordinates."""
@@ -253,7 +227,6 @@ class Rig:
         return float(self._skin[under, 2].max())
 
     def kinetic_j(self) -> float:
-        """Kinetic energy of the tool [J]."""
         momentum = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, momentum, self.data.qvel)
         return 0.5 * float(self.data.qvel @ momentum)
@@ -261,8 +234,7 @@ class Rig:
 
 def middle(shell: Shell) -> tuple[Array, Array]:
     """Return the vertex (3,) nearest to the region's middle, and directions (3, 3) there as columns: along the region,
-    across it and outward, in the mesh frame.
-    """
+    across it and outward, in the mesh frame."""
     local = (shell.vertices - shell.frame_origin) @ shell.frame
     upward = np.flatnonzero(shell.normals @ shell.frame[:, 2] > UPWARD)
     at = upward[np.hypot(local[upward, 0], local[upward, 1]).argmin()]
@@ -272,12 +244,8 @@ def middle(shell: Shell) -> tuple[Array, Array]:
     return shell.vertices[at], np.stack([along, np.cross(outward, along), outward], 1)
 
 
-# The same force measured along independent paths: contact points, anchors, bed, robot joints. All forces are in the
-# world [N].
-
-
 class AnchorForce:
-    """Force that a region's springs and dampers exert on the bone: anchors, coupling and membrane.
+    """Force [N] in the world that a region's springs and dampers exert on the bone: anchors, coupling and membrane.
 
     It follows from the displacement of every vertex and the law in the compiled model, by the equations of the law and
     not by the compiled tissue, which sums the forces of its contact points. Vertices that the compiled tissue leaves at
@@ -293,7 +261,6 @@ class AnchorForce:
         self._edges, self._weights = rows[:, :2].astype(np.int64), rows[:, 2:]
 
     def __call__(self) -> Array:
-        """Return the force (3,)."""
         return self._wrench(moving=True)[0]
 
     def moment(self) -> Array:
@@ -302,7 +269,7 @@ class AnchorForce:
         return self._wrench(moving=True)[1]
 
     def held(self) -> Array:
-        """(3,) force that holds the skin around the part that moves."""
+        """Return the force (3,) that holds the skin around the part that moves."""
         return self._wrench(moving=False)[0]
 
     def _wrench(self, *, moving: bool) -> Array:
@@ -335,7 +302,7 @@ def moment_on_bone(simulation: Simulation, region: str) -> Array:
 
 
 def bed_reaction(simulation: Simulation) -> Array:
-    """Return the force (3,) of bed and board on the person, summed here over the contacts."""
+    """Return the force (3,) [N] of bed and board on the person, summed here over the contacts."""
     model, data = simulation.model, simulation.data
     total, wrench = np.zeros(3), np.zeros(6)
     for i in range(data.ncon):
@@ -349,8 +316,8 @@ def bed_reaction(simulation: Simulation) -> Array:
 
 
 def tip_force(simulation: Simulation) -> Array:
-    """Return the force (3,) that the robot exerts at its tip, from joint torques alone; it is exact if the tip does not
-    accelerate.
+    """Return the force (3,) [N] that the robot exerts at its tip, from joint torques alone; it is exact if the tip does
+    not accelerate.
 
     The dynamically consistent inverse (Khatib 1987) removes torques that only move the elbow. The tissue's force on the
     robot is one of MuJoCo's passive forces and is subtracted from them.
@@ -367,9 +334,7 @@ def tip_force(simulation: Simulation) -> Array:
 
 
 def touches_hard_parts(simulation: Simulation) -> bool:
-    """Whether the robot now touches a rigid part of the person; contacts with tissue are not among MuJoCo's
-    contacts.
-    """
+    """Whether the robot touches a rigid part of the person; MuJoCo's contacts have none with tissue."""
     model, data = simulation.model, simulation.data
     robot = model.body(simulation.robot.base_body).id
     for i in range(data.ncon):

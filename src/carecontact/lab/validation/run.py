@@ -20,16 +20,11 @@ from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import Protocol
 from carecontact.world.scene import build_scene
 
-CHECKS = {
-    name: name.replace("-", "_")
-    for name in (
-        "force-balance", "energy", "convergence", "passive-response", "calibration-residual", "determinism",
-        "sensitivity", "stability", "uniformity", "smoothness", "declared", "knocks",
-        "alive",
-    )
-}  # fmt: skip
+_NUMBERED = "force-balance energy convergence passive-response calibration-residual determinism sensitivity stability"
+_FURTHER = "uniformity smoothness declared knocks alive"
+CHECKS = {name: name.replace("-", "_") for name in f"{_NUMBERED} {_FURTHER}".split()}
 """Name -> module in this package, which has TITLE, run(subject, quick=...) and draw(result, figure). The first eight
-are the numbered checks, in their order; the others follow."""
+are the numbered checks, in their order."""
 SCHEMA = "carecontact-validation-1"
 
 
@@ -37,16 +32,13 @@ SCHEMA = "carecontact-validation-1"
 class Validation:
     body: str
     body_sha256: str
-    protocol: str
-    protocol_sha256: str
-    tissue_set: str
-    dt_s: float
+    protocol: Protocol
     model_sha256: str
     """sha256 of the compiled world with the forearm as target."""
     quick: bool
     asked: tuple[str, ...]
     """Names of the checks that are to run."""
-    results: tuple[CheckResult, ...]
+    results: tuple[CheckResult, ...] = ()
     """Results of the checks that have run, in their order."""
 
     @property
@@ -59,14 +51,24 @@ class Validation:
 
     def as_json(self) -> dict[str, object]:
         """Return the content of validation.json. Nothing in it depends on place, time or machine."""
+        rules = {
+            "id": self.protocol.name,
+            "sha256": self.protocol.sha256,
+            "tissue_set": self.protocol.person.tissue_set,
+            "dt_s": self.protocol.physics.dt_s,
+        }
         return {
-            "schema": SCHEMA, "passed": self.passed, "finished": self.finished, "quick": self.quick,
+            "schema": SCHEMA,
+            "passed": self.passed,
+            "finished": self.finished,
+            "quick": self.quick,
             "left_out": [name for name in CHECKS if name not in self.asked],
-            "protocol": {"id": self.protocol, "sha256": self.protocol_sha256, "tissue_set": self.tissue_set,
-                         "dt_s": self.dt_s},
-            "body": {"name": self.body, "sha256": self.body_sha256}, "model_sha256": self.model_sha256,
-            "mujoco": mujoco.__version__, "checks": [result.as_json() for result in self.results],
-        }  # fmt: skip
+            "protocol": rules,
+            "body": {"name": self.body, "sha256": self.body_sha256},
+            "model_sha256": self.model_sha256,
+            "mujoco": mujoco.__version__,
+            "checks": [result.as_json() for result in self.results],
+        }
 
 
 def validate(
@@ -87,19 +89,21 @@ def validate(
 
     Raises UnknownNameError for an unknown check, and what ``make_scene`` raises if no world can be built.
     """
-    modules = [_module(name) for name in checks]
+    modules = [(name, _module(name)) for name in checks]
     protocol = protocol if body is None else overridden(protocol, {"person.body": body})
     subject = Subject(protocol, make_scene=make_scene)
     scene = subject.scene("forearm")
-    # Hash the model before anything runs, because settling writes the rest angles into it.
-    model_sha256 = scene.model_sha256
+    # The hash comes before anything runs, because settling writes the rest angles into the model.
     validation = Validation(
-        body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol.name, protocol_sha256=protocol.sha256,
-        tissue_set=protocol.person.tissue_set, dt_s=protocol.physics.dt_s,
-        model_sha256=model_sha256, quick=quick, asked=tuple(checks), results=(),
+        body=scene.body.name, body_sha256=scene.body.sha256, protocol=protocol, model_sha256=scene.model_sha256,
+        quick=quick, asked=tuple(checks),
     )  # fmt: skip
-    for name, module in zip(checks, modules, strict=True):
-        result = _run(name, module, subject, quick=quick)
+    for name, module in modules:
+        try:
+            result = module.run(subject, quick=quick)
+        except CarecontactError as error:
+            # A person that does not settle or whose press diverges is a finding about the person.
+            result = CheckResult(check=name, title=module.TITLE, measures=(), error=str(error))
         validation = replace(validation, results=(*validation.results, result))
         on_check(validation)
     return validation
@@ -107,8 +111,7 @@ def validate(
 
 def write(validation: Validation, folder: Path) -> list[Path]:
     """Write validation.json as far as checks have run, and the last check's figure if that check was finished; return
-    the written files.
-    """
+    the written files."""
     folder.mkdir(parents=True, exist_ok=True)
     if len(validation.results) == 1:
         for name in CHECKS:
@@ -128,11 +131,3 @@ def _module(name: str) -> ModuleType:
     if name not in CHECKS:
         raise UnknownNameError("check", name, CHECKS)
     return import_module(f"{__package__}.{CHECKS[name]}")
-
-
-def _run(name: str, module: ModuleType, subject: Subject, *, quick: bool) -> CheckResult:
-    try:
-        return module.run(subject, quick=quick)
-    except CarecontactError as error:
-        # A person that does not settle or whose press diverges is a finding about the person.
-        return CheckResult(check=name, title=module.TITLE, measures=(), error=str(error))

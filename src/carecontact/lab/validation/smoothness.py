@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from carecontact.interface.regions import REGIONS
 from carecontact.lab.validation.passive_response import lock_arm
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.subject import DOWN, Subject, axes, force_norm, in_base, skin_points, surface_point
 from carecontact.recording.schema import SEGMENTS
 from carecontact.scoring.contact import low_pass
@@ -78,24 +78,23 @@ class Scrub:
             wanted: mean force that the scrub was to have [N].
             friction: the declared coefficient.
         """
-        time, force, steady = self.time_s, self.force_n, self.steady
+        force, steady = self.force_n, self.steady
         mean = force[steady].mean() if steady.any() else np.nan
         rubbed = self.friction[~np.isnan(self.friction)]
         rubs, slides = (np.median(of) if of.size else np.nan for of in (rubbed, self.sliding))
+        off, wrong = 100 * abs(mean / wanted - 1), 100 * abs(rubs / friction - 1)
+        lost, declared = dropouts(self.time_s, force)[steady].sum(), "sliding friction from the declared one"
+        under = "share of the force under which the tool slides"
         return [
             self._noise(name, "", force, steady),
             self._noise(name, " where it turns round", force, self.turning),
             self._noise(name, " along the skin where it turns round", self.along_n, self.turning),
-            Measure(name=f"{name}: single-step dropouts", value=float(dropouts(time, force)[steady].sum()), limit=0.0),
-            Measure(name=f"{name}: deviation of the mean force from the target force", unit="%", limit=25.0,
-                    value=float(100 * abs(mean / wanted - 1))),
-            Measure(name=f"{name}: share of the time at speed", value=float(100 * steady.mean()), unit="%",
-                    limit=25.0, side="at least"),
-            Measure(name=f"{name}: share of the force under which the tool slides", unit="%",
-                    limit=SLIDING_LIMIT_PERCENT, side="at least", value=float(100 * slides)),
-            Measure(name=f"{name}: deviation of the sliding friction from the declared one", unit="%",
-                    limit=FRICTION_LIMIT_PERCENT, value=float(100 * abs(rubs / friction - 1))),
-        ]  # fmt: skip
+            measured(f"{name}: single-step dropouts", lost, at_most=0.0),
+            measured(f"{name}: deviation of the mean force from the target force", off, "%", at_most=25.0),
+            measured(f"{name}: share of the time at speed", 100 * steady.mean(), "%", at_least=25.0),
+            measured(f"{name}: {under}", 100 * slides, "%", at_least=SLIDING_LIMIT_PERCENT),
+            measured(f"{name}: deviation of the {declared}", wrong, "%", at_most=FRICTION_LIMIT_PERCENT),
+        ]
 
     def slow_measures(self, name: str) -> list[Measure]:
         """Return what a slow stroke measured, its turns included: how much its force rattles."""
@@ -108,34 +107,32 @@ class Scrub:
         parts = force_n.reshape(len(force_n), -1).T
         high = [x - low_pass(x, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=sample_hz, zero_phase=True) for x in parts]
         rms = np.sqrt(sum(x[counts].var() for x in high)) if counts.any() else np.nan
-        return Measure(name=f"{name}: force noise{where} above 20 Hz, rms", value=float(rms), unit="N",
-                       limit=NOISE_LIMIT_N)  # fmt: skip
+        return measured(f"{name}: force noise{where} above 20 Hz, rms", rms, "N", at_most=NOISE_LIMIT_N)
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
+
+    def held_arm(region: str) -> Simulation:
+        simulation = subject.hovering(region)
+        lock_arm(simulation)
+        return simulation
+
     for region in subject.regions(quick=quick):
+        friction = subject.tissue(region).friction
         for wanted in QUICK_FORCES_N if quick else FORCES_N:
-            simulation = subject.hovering(region)
-            lock_arm(simulation)
-            done = scrub(simulation, wanted, strokes=QUICK_STROKES if quick else STROKES, region=region)
-            measures += done.measures(
-                f"{region} scrubbed with {wanted:.0f} N", wanted=wanted, friction=subject.tissue(region).friction,
-            )  # fmt: skip
+            done = scrub(held_arm(region), wanted, strokes=QUICK_STROKES if quick else STROKES, region=region)
+            measures += done.measures(f"{region} scrubbed with {wanted:.0f} N", wanted=wanted, friction=friction)
             curves[f"{region}/{wanted:.0f} N"] = np.stack([done.time_s, done.force_n, done.steady.astype(np.float64)])
         for speed in () if quick else SLOW_M_S:
-            simulation = subject.hovering(region)
-            lock_arm(simulation)
-            done = scrub(simulation, SLOW_N, strokes=SLOW_STROKES, region=region, speed_m_s=speed)
+            done = scrub(held_arm(region), SLOW_N, strokes=SLOW_STROKES, region=region, speed_m_s=speed)
             measures += done.slow_measures(f"{region} stroked at {1000 * speed:.0f} mm/s with {SLOW_N:.0f} N")
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)
 
 
 def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
-    """Return (n,) which 500 Hz samples lie more than 30 % and 0.3 N below the median of their two neighbours on each
-    side.
-    """
+    """Return (n,) which 500 Hz samples lie more than 30 % and 0.3 N below the median of two neighbours on each side."""
     stride = max(1, round(1 / (SAMPLE_HZ * (time_s[1] - time_s[0]))))
     sampled = force_n[::stride]
     around = np.stack([np.roll(sampled, k) for k in (-2, -1, 1, 2)])
@@ -147,9 +144,7 @@ def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:
     return out
 
 
-def scrub(
-    simulation: Simulation, newton: float, *, strokes: int, region: str, speed_m_s: float = SPEED_M_S
-) -> Scrub:  # fmt: skip
+def scrub(simulation: Simulation, newton: float, *, strokes: int, region: str, speed_m_s: float = SPEED_M_S) -> Scrub:
     """Scrub back and forth over a region's skin at a mean force [N].
 
     The middle of the stroke is the place of scripted contacts, or as near to it as this tool has room to go to and fro;
@@ -195,14 +190,20 @@ def scrub(
             if new[-1].tcp_speed[-1] > STEADY * speed_m_s:
                 rubbed.append(sliding_friction(before, after, speed_m_s=float(new[-1].tcp_speed.mean())))
         ends.moved(place, at())
-    time, speed = (np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed"))
+    time, speed, force = (
+        np.concatenate([getattr(s, name) for s in samples]) for name in ("time_s", "tcp_speed", "force")
+    )
     column = SEGMENTS.index(REGIONS[region].segment)
+    friction, sliding = np.array(rubbed).reshape(-1, 2).T
     return Scrub(
-        time_s=time - time[0], force_n=force_norm(samples, REGIONS[region].segment),
-        along_n=np.concatenate([s.force[:, column, :2] for s in samples]), steady=speed > STEADY * speed_m_s,
+        time_s=time - time[0],
+        force_n=force_norm(samples, REGIONS[region].segment),
+        along_n=force[:, column, :2],
+        steady=speed > STEADY * speed_m_s,
         turning=speed < TURNING_M_S,
-        friction=np.array([friction for friction, _ in rubbed]), sliding=np.array([share for _, share in rubbed]),
-    )  # fmt: skip
+        friction=friction,
+        sliding=sliding,
+    )
 
 
 @dataclass(kw_only=True)
@@ -272,11 +273,8 @@ def room(simulation: Simulation, moved: Callable[[float], Array]) -> tuple[float
 
 
 def sliding_friction(before: Cells, after: Cells, *, speed_m_s: float) -> tuple[float, float]:
-    """Return the ratio of tangential to normal force of the cells over which the tool slid, and their share of the
-    normal force.
-
-    A cell counts if, between the two readings, it slid at STEADY of the tool's speed or more. (nan, 0) if none did.
-    """
+    """Return the ratio of tangential to normal force of the cells over which the tool slid, at STEADY of its speed or
+    more between the two readings, and their share of the normal force; (nan, 0) if there are none."""
     press, shear, slip, touch = (
         getattr(after, name) - getattr(before, name) for name in ("press_ns", "shear_ns", "slip_m3", "touch_m2s")
     )
@@ -286,15 +284,15 @@ def sliding_friction(before: Cells, after: Cells, *, speed_m_s: float) -> tuple[
 
 
 def draw(result: CheckResult, figure: Figure) -> None:
-    regions = list(dict.fromkeys(name.partition("/")[0] for name in result.curves))
+    names = [name.partition("/") for name in result.curves]
+    regions = list(dict.fromkeys(region for region, *_ in names))
     figure.set_size_inches(5.0, 1.2 + 1.5 * len(regions))
     rows = figure.subplots(len(regions), squeeze=False, sharex=True)[:, 0]
     for row, region in zip(rows, regions, strict=True):
-        for name, (time, force, steady) in result.curves.items():
-            if name.partition("/")[0] == region:
-                label = f"about {name.partition('/')[2]}"
-                (line,) = row.plot(time, np.where(steady > 0, force, np.nan), lw=0.8, label=label)
-                row.plot(time, force, lw=0.5, color=line.get_color(), alpha=0.4)
+        for _, _, force_text in (name for name in names if name[0] == region):
+            time, force, steady = result.curves[f"{region}/{force_text}"]
+            (line,) = row.plot(time, np.where(steady > 0, force, np.nan), lw=0.8, label=f"about {force_text}")
+            row.plot(time, force, lw=0.5, color=line.get_color(), alpha=0.4)
         row.set(ylabel="force [N]", ylim=(0, None), title=region.replace("_", " "))
         row.legend(loc="upper right")
     rows[-1].set_xlabel(f"time [s], scrubbing at {SPEED_M_S:.1f} m/s (pale: turning)")

@@ -8,7 +8,7 @@ import numpy as np
 
 from carecontact.episode.log import STOPPED_OVER
 from carecontact.interface.action_spaces import DAMPING_RATIO, MAX_FEEDFORWARD_N, MAX_FEEDFORWARD_NM
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, measured
 from carecontact.lab.validation.subject import COMFORT_ARM_DEG, DOWN, Subject, in_base, surface_point
 from carecontact.protocol.sections import Impedance
 from carecontact.sim.simulation import Simulation
@@ -28,36 +28,27 @@ SEED = 8
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
-    count = QUICK_TRIALS if quick else TRIALS
-    regions = subject.regions(quick=quick)
-    peaks: list[float] = []
-    fastest: list[float] = []
-    broken = 0
+    count, regions = QUICK_TRIALS if quick else TRIALS, subject.regions(quick=quick)
+    trials: list[tuple[float, float, bool]] = []
     for number, region in enumerate(regions):
         simulation = subject.hovering(region)
         start = simulation.integration_state()
         rng = np.random.default_rng([SEED, number])
         for _ in range(number, count, len(regions)):
             simulation.restore(start, comfort_arm_deg=COMFORT_ARM_DEG)
-            peak, speed, whole = random_trial(simulation, region, rng)
-            peaks.append(peak)
-            fastest.append(speed)
-            broken += not whole
+            trials.append(random_trial(simulation, region, rng))
+    peaks, fastest, whole = np.array(trials).T
     stop_m_s = STOPPED_OVER * subject.protocol.physics.max_tcp_speed_m_s
-    pressed = float(np.mean(np.array(peaks) > PRESSED_N))
-    return CheckResult(
-        check="stability", title=TITLE, curves={"peaks": np.array(peaks)},
-        measures=(
-            Measure(name="random-action trials", value=float(len(peaks))),
-            Measure(name="trials with a solver warning or a number that is not finite", value=float(broken), limit=0.0),
-            Measure(name=f"share that pressed harder than {PRESSED_N:.0f} N", value=100 * pressed, unit="%", limit=50.0,
-                    side="at least"),
-            Measure(name="largest contact force", value=float(np.nanmax(peaks)), unit="N"),
-            Measure(name=f"share of trials with a tool faster than {stop_m_s:g} m/s", unit="%", limit=FAST_PERCENT,
-                    value=100 * float(np.mean(np.array(fastest) > stop_m_s))),
-            Measure(name="fastest tool", value=float(np.nanmax(fastest)), unit="m/s"),
-        ),
-    )  # fmt: skip
+    pressed, fast = 100 * np.mean(peaks > PRESSED_N), 100 * np.mean(fastest > stop_m_s)
+    measures = (
+        measured("random-action trials", len(peaks)),
+        measured("trials with a solver warning or a number that is not finite", (whole == 0).sum(), at_most=0.0),
+        measured(f"share that pressed harder than {PRESSED_N:.0f} N", pressed, "%", at_least=50.0),
+        measured("largest contact force", np.nanmax(peaks), "N"),
+        measured(f"share of trials with a tool faster than {stop_m_s:g} m/s", fast, "%", at_most=FAST_PERCENT),
+        measured("fastest tool", np.nanmax(fastest), "m/s"),
+    )
+    return CheckResult(check="stability", title=TITLE, curves={"peaks": peaks}, measures=measures)
 
 
 def random_trial(simulation: Simulation, region: str, rng: np.random.Generator) -> tuple[float, float, bool]:
@@ -112,5 +103,5 @@ def draw(result: CheckResult, figure: Figure) -> None:
     axes = figure.subplots()
     peaks = result.curves["peaks"]
     axes.hist(peaks[np.isfinite(peaks)], bins=min(40, max(8, len(peaks) // 10)), color="C0")
-    axes.set(xlabel="largest force of the trial [N]", ylabel="trials",
-             title=f"{len(peaks)} random-action trials")  # fmt: skip
+    title = f"{len(peaks)} random-action trials"
+    axes.set(xlabel="largest force of the trial [N]", ylabel="trials", title=title)

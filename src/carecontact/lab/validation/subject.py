@@ -1,10 +1,10 @@
-"""The person under test, the scripted motions of the tool, and the scores of a scripted contact."""
+"""The person under test, scripted motions of the tool, and the scores of a scripted contact."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Protocol as Interface
 
 import numpy as np
@@ -23,14 +23,16 @@ from carecontact.scoring.progress import measure_episodes
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.world.scene import Scene, build_scene
 
-# Scripted motions of the tool: the same command every time, so that only the person differs between two runs.
-
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 """quat_wxyz in the robot's base of a tool whose z points to the floor."""
-
-
 ABOVE_M = 0.5
 """Height above a region's site that is higher than any of the region's skin."""
+COMFORT_ARM_DEG = 52.5
+"""Angle of the comfort arm: the middle of the protocol's range."""
+HOVER_M = 0.020
+"""Height of the tool's tip over the skin from which the scripted contacts begin."""
+TOUCHED_M = 0.0002
+"""Indentation above which the tissue counts as touched."""
 
 
 def skin_points(simulation: Simulation, region: str) -> Array:
@@ -40,10 +42,8 @@ def skin_points(simulation: Simulation, region: str) -> Array:
 
 
 def scripted_along_m(scene: Scene, region: str) -> float:
-    """Return the place of scripted contacts along the region's axis, from its middle [m].
-
-    It is the same place on every body's limb, or the region's middle if that lies nearer to the next joint.
-    """
+    """Return the place of scripted contacts along the region's axis, from its middle [m]: on every body's limb the same
+    place, or the region's middle if that lies nearer to the next joint."""
     row = REGIONS[region]
     if not (isinstance(row.shape, Tube) and row.shape.beside_trunk):
         return row.scripted_along_m
@@ -53,10 +53,7 @@ def scripted_along_m(scene: Scene, region: str) -> float:
 
 def surface_point(simulation: Simulation, region: str, offset: tuple[float, float] = (0.0, 0.0)) -> Array:
     """Return the place (3,) of the skin at the region's place of contact plus a horizontal ``offset`` (along, across)
-    [m].
-
-    Raises SceneError if the region's shell does not reach there.
-    """
+    [m]. Raises SceneError if the region's shell does not reach there."""
     along, across = axes(simulation, region)
     corners = skin_points(simulation, region)[simulation.scene.regions[region].shell.triangles]
     middle = simulation.data.site(f"region_{region}").xpos
@@ -87,7 +84,8 @@ def move_to(simulation: Simulation, position_in_world: Array, *, seconds: float)
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A contact as a policy might make it: down into the region, back and forth along its axis, and up."""
+    """A contact as a policy might make it: down into the region, back and forth along its axis, and up. The commands
+    are the same every time, so that only the person differs between two runs."""
 
     name: str
     overtravel_m: float
@@ -104,28 +102,24 @@ PRESS = Motion(name="press", overtravel_m=0.025, hold_s=0.8)
 SCRUB = Motion(name="scrub", overtravel_m=0.020, half_stroke_m=0.040, strokes=2)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Performance:
-    samples: list[Samples]
-    indentation_m: Array
-    """(p, R) largest inward displacement of each region's shell after every target period."""
+def perform(simulation: Simulation, region: str, motion: Motion) -> tuple[list[Samples], Array]:
+    """Run a motion that begins above the region; the target follows the skin's slope along the stroke.
 
-
-def perform(simulation: Simulation, region: str, motion: Motion) -> Performance:
-    """Run a motion that begins above the region; the target follows the skin's slope along the stroke."""
+    Returns the samples, and the largest inward displacement (p, R) [m] of each region's shell after every target
+    period."""
     along, _ = axes(simulation, region)
     reach = max(motion.half_stroke_m, 0.01)
     middle, low, high = (surface_point(simulation, region, (offset, 0.0)) for offset in (0.0, -reach, reach))
     slope = float(high[2] - low[2]) / (2 * reach)
     samples: list[Samples] = []
     indentation: list[Array] = []
+    period_s, dt = simulation.protocol.physics.target_period_s, simulation.model.opt.timestep
 
     def go(distance: float, seconds: float, *, lift: float = 0.0) -> None:
         goal = middle + distance * along + [0, 0, distance * slope - motion.overtravel_m + lift]
         simulation.set_goal(np.r_[in_base(simulation, goal), DOWN], seconds)
-        period = round(simulation.protocol.physics.target_period_s / simulation.model.opt.timestep)
-        for _ in range(round(seconds / simulation.protocol.physics.target_period_s)):
-            samples.extend(simulation.advance(period))
+        for _ in range(round(seconds / period_s)):
+            samples.extend(simulation.advance(round(period_s / dt)))
             indentation.append(simulation.indentation())
 
     go(0.0, 0.8)
@@ -140,15 +134,7 @@ def perform(simulation: Simulation, region: str, motion: Motion) -> Performance:
     if place:
         go(0.0, abs(place) / motion.speed_m_s)
     go(0.0, 0.6, lift=motion.overtravel_m + 0.02)
-    return Performance(samples=samples, indentation_m=np.array(indentation))
-
-
-# The person under test: builds and settles each scene once and gives simulations at rest or with the tool above.
-
-COMFORT_ARM_DEG = 52.5
-"""Angle of the comfort arm: the middle of the protocol's range."""
-HOVER_M = 0.020
-"""Height of the tool's tip over the skin from which the scripted contacts begin."""
+    return samples, np.array(indentation)
 
 
 class MakeScene(Interface):
@@ -158,7 +144,8 @@ class MakeScene(Interface):
 
 
 class Subject:
-    """The person under test. Every simulation that it returns has a model of its own, which a check may change."""
+    """The person under test, whose scenes are built and settled once. Every simulation that it returns has a model of
+    its own, which a check may change."""
 
     def __init__(self, protocol: Protocol, *, make_scene: MakeScene = build_scene) -> None:
         self.protocol, self.make_scene = protocol, make_scene
@@ -173,30 +160,23 @@ class Subject:
         return self._scenes[region]
 
     def at_rest(self, region: str) -> Simulation:
-        """Return a simulation of the settled person with the robot parked, at t = 0.
-
-        Raises SettleError if the person does not come to rest.
-        """
+        """Return a simulation of the settled person with the robot parked, at t = 0. Raises SettleError if the person
+        does not come to rest."""
         if region not in self._rest:
-            simulation = Simulation(_own_model(self.scene(region)))
+            simulation = self._simulation(region)
             simulation.settle(COMFORT_ARM_DEG)
             self._rest[region] = simulation.integration_state()
         return self._restored(region, self._rest[region])
 
     def hovering(self, region: str) -> Simulation:
         """Return a simulation of the settled person at t = 0, with the tool at rest HOVER_M over the region's middle
-        and pointing down.
-
-        Raises SceneError if MuJoCo warned on the way there.
-        """
+        and pointing down. Raises SceneError if MuJoCo warned on the way there."""
         if region not in self._hover:
             simulation = self.at_rest(region)
             top = surface_point(simulation, region)
-            move_to(simulation, top + [0, 0, 0.10], seconds=3.0)
-            move_to(simulation, top + [0, 0, HOVER_M], seconds=0.8)
-            move_to(simulation, top + [0, 0, HOVER_M], seconds=0.6)
-            if warnings := simulation.solver_warnings():
-                raise SceneError(f"MuJoCo warned while the tool moved over the {region}: {', '.join(warnings)}")
+            for height, seconds in ((0.10, 3.0), (HOVER_M, 0.8), (HOVER_M, 0.6)):
+                move_to(simulation, top + [0, 0, height], seconds=seconds)
+            refuse_warnings(simulation, f"while the tool moved over the {region}")
             self._hover[region] = simulation.integration_state()
         return self._restored(region, self._hover[region])
 
@@ -209,7 +189,6 @@ class Subject:
         return self.scene(region).regions[region].tissue
 
     def with_dt(self, dt_s: float) -> Subject:
-        """Return the same person at another time step [s]."""
         return self.variant(physics=self.protocol.physics.model_copy(update={"dt_s": dt_s}))
 
     def with_tissue(self, region: str, tissue: Tissue) -> Subject:
@@ -220,24 +199,25 @@ class Subject:
         """Return the person of a changed protocol, built by the same function."""
         return Subject(self.protocol.model_copy(update=update), make_scene=self.make_scene)
 
+    def _simulation(self, region: str) -> Simulation:
+        scene = self.scene(region)
+        return Simulation(replace(scene, model=copy.copy(scene.model)))
+
     def _restored(self, region: str, state: Array) -> Simulation:
-        simulation = Simulation(_own_model(self.scene(region)))
+        simulation = self._simulation(region)
         simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
         return simulation
 
 
-def _own_model(scene: Scene) -> Scene:
-    return replace(scene, model=copy.copy(scene.model))
-
-
-# The scorer's C1, C5 and stroke of a scripted contact, so that the checks judge the numbers that are reported.
-
-TOUCHED_M = 0.0002
-"""Indentation above which the tissue counts as touched."""
+def refuse_warnings(simulation: Simulation, when: str) -> None:
+    if warnings := simulation.solver_warnings():
+        raise SceneError(f"MuJoCo warned {when}: {', '.join(warnings)}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
+    """The scorer's C1, C5 and stroke of a scripted contact, so that the checks judge the numbers that are reported."""
+
     c1_n: float
     c1_filtered_n: float
     c5_n: float
@@ -246,43 +226,35 @@ class Scores:
     """Share of the time in the tissue that was spent deeper than the reference measurements."""
 
 
-def scores_of(simulation: Simulation, region: str, performance: Performance) -> Scores:
-    """Return the scores of a contact: all NaN if the region was not touched; the filtered peak is NaN if the time step
-    is too long for the filter.
-
-    Raises SceneError if MuJoCo warned on the way.
-    """
+def scores_of(simulation: Simulation, region: str, samples: list[Samples], indentation_m: Array) -> Scores:
+    """Return the scores of a performance: all NaN if the region was not touched; the filtered peak is NaN if the time
+    step is too long for the filter. Raises SceneError if MuJoCo warned on the way."""
     dt, cutoff = simulation.model.opt.timestep, simulation.protocol.contact.peak_filter_hz
-    warnings = simulation.solver_warnings()
-    if warnings:
-        raise SceneError(
-            f"MuJoCo warned in a scripted contact at a time step of {1000 * dt:g} ms: {', '.join(warnings)}"
-        )
-    contact = find_contact(recording_of(simulation, region, performance.samples))
+    refuse_warnings(simulation, f"in a scripted contact at a time step of {1000 * dt:g} ms")
+    contact = find_contact(recording_of(simulation, region, samples))
     spread = force_stability(contact)
     if spread is None or contact.reported != contact.target:
-        return Scores(c1_n=np.nan, c1_filtered_n=np.nan, c5_n=np.nan, stroke_m=np.nan, beyond_measured=np.nan)
+        return Scores(**dict.fromkeys((field.name for field in fields(Scores)), np.nan))
     # The scorer's filter needs a sample rate of more than twice its cutoff.
     peak = peak_force(contact) if 2 * cutoff * dt < 1 else None
-    depth = performance.indentation_m[:, simulation.protocol.regions.index(region)]
+    depth = indentation_m[:, simulation.protocol.regions.index(region)]
     measured = simulation.scene.regions[region].tissue.measured_depth_m
     return Scores(
-        c1_n=float(contact.force_in_window.max()), c5_n=spread,
-        c1_filtered_n=np.nan if peak is None else peak.c1_peak_filtered_n,
+        c1_n=float(contact.force_in_window.max()),
+        c1_filtered_n=np.nan if peak is None else peak["c1_peak_filtered_n"],
+        c5_n=spread,
         stroke_m=sum(episode.stroke_m for episode in measure_episodes(contact)),
         beyond_measured=float((depth > measured).sum() / max(1, (depth > TOUCHED_M).sum())),
-    )  # fmt: skip
+    )
 
 
 def motion_scores(subject: Subject, region: str, motion: Motion) -> Scores:
     simulation = subject.hovering(region)
-    return scores_of(simulation, region, perform(simulation, region, motion))
+    return scores_of(simulation, region, *perform(simulation, region, motion))
 
 
 def _with_task_on(protocol: Protocol, region: str) -> Protocol:
-    """Return the protocol with a task on the region, which is added if there is none, because the scorer finds a
-    trial's region by its task.
-    """
+    """Return the protocol with a task on the region, because the scorer finds a trial's region by its task."""
     if any(task.region == region for task in protocol.tasks):
         return protocol
     task = protocol.tasks[0].model_copy(update={"id": "scripted", "region": region})
@@ -304,22 +276,26 @@ def recording_of(simulation: Simulation, region: str, samples: Sequence[Samples]
         pose_base_in_world=simulation.pose_base_in_world.tolist(), identity=DECLARED, versions={}, sha256={},
         solver_warnings=[],
     )  # fmt: skip
-    return Recording.trusted(
-        header,
-        {
-            "scorer/time_s": np.concatenate([s.time_s for s in samples]),
-            "scorer/force_human_from_robot_in_world": np.concatenate([s.force for s in samples]),
-            "scorer/normal_force": np.concatenate([s.normal for s in samples]),
-            "scorer/human_joint_position": np.concatenate([s.human_joint for s in samples]),
-            "scorer/human_joint_range": simulation.joint_range,
-            "scorer/human_joint_settled": samples[0].human_joint[0],
-            "scorer/tcp_speed": np.concatenate([s.tcp_speed for s in samples]),
-            "scorer/tcp_rotation_speed": np.concatenate([s.tcp_rotation_speed for s in samples]),
-            "scorer/pose_tcp_in_world": np.concatenate([s.tcp_pose for s in samples]),
-            "scorer/region_pose_in_world": np.concatenate([s.region_pose for s in samples]),
-            "scorer/region_size_m": simulation.scene.region_size_m,
-        },
-    )
+    arrays = {f"scorer/{name}": np.concatenate([getattr(s, of) for s in samples]) for name, of in STREAMS.items()}
+    still = {
+        "scorer/human_joint_range": simulation.joint_range,
+        "scorer/human_joint_settled": samples[0].human_joint[0],
+        "scorer/region_size_m": simulation.scene.region_size_m,
+    }
+    return Recording.trusted(header, arrays | still)
+
+
+STREAMS = {
+    "time_s": "time_s",
+    "force_human_from_robot_in_world": "force",
+    "normal_force": "normal",
+    "human_joint_position": "human_joint",
+    "tcp_speed": "tcp_speed",
+    "tcp_rotation_speed": "tcp_rotation_speed",
+    "pose_tcp_in_world": "tcp_pose",
+    "region_pose_in_world": "region_pose",
+}
+"""The scorer's streams that a scripted contact has -> their names in ``Samples``."""
 
 
 def force_norm(samples: Sequence[Samples], region_segment: str) -> np.ndarray:

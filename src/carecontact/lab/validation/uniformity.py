@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.human.shell import Shell
-from carecontact.lab.validation.result import Array, CheckResult, Measure
+from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
 from carecontact.lab.validation.rig import person_bench, tool
 from carecontact.lab.validation.subject import Subject
 from carecontact.sim.bench import Bench
@@ -37,34 +37,28 @@ SPEED_M_S = 0.010
 def run(subject: Subject, *, quick: bool) -> CheckResult:
     measures: list[Measure] = []
     curves: dict[str, Array] = {}
+    spring = subject.protocol.impedance.translational_bounds[1]
     for region in subject.regions(quick=quick):
         bench = person_bench(subject, region, tool(subject))
-        rng = np.random.default_rng([SEED, subject.regions().index(region)])
-        places = random_places(bench.shell, rng, QUICK_PLACES if quick else PLACES)
+        shell, rng = bench.shell, np.random.default_rng([SEED, subject.regions().index(region)])
+        places = random_places(shell, rng, QUICK_PLACES if quick else PLACES)
         force = np.array([_press(bench, place) for place in places])
-        curvature = np.array([curvatures(bench.shell, place) for place in places])
-        spring = subject.protocol.impedance.translational_bounds[1]
+        curvature = np.array([curvatures(shell, place) for place in places])
         for depth, (above, column) in zip(DEPTHS_M, force.transpose(1, 2, 0), strict=True):
             at, slope = f"at {1000 * depth:.0f} mm", float((column - above).mean()) / TANGENT_M
             variation = float(100 * column.std(ddof=1) / column.mean())
+            moved, left = variation * spring / (spring + slope), 100 * unexplained(column, curvature)
+            pressed = f"{region}: the same {at}, of a robot with a spring of {spring:g} N/m that goes so deep"
+            curved = f"{region}: the same {at}, without what the body's curvature explains"
             measures += [
-                Measure(name=f"{region}: variation of peak force over {len(places)} places {at}", value=variation,
-                        unit="%"),
-                Measure(name=f"{region}: the same {at}, of a robot with a spring of {spring:g} N/m that goes so deep",
-                        value=variation * spring / (spring + slope), unit="%", limit=MOVED_PERCENT),
-                Measure(name=f"{region}: the same {at}, without what the body's curvature explains",
-                        value=100 * unexplained(column, curvature), unit="%", limit=UNEXPLAINED_PERCENT),
-            ]  # fmt: skip
-        shell = bench.shell
-        measures.append(
-            Measure(name=f"{region}: share of the mask that is farther than {1000 * BORDER_M:.0f} mm from its border",
-                    value=float(100 * shell.area[inner(shell)].sum() / shell.area[mask(shell)].sum()), unit="%")
-        )  # fmt: skip
-        seen = shell.normals @ shell.frame[:, 2] > 0.0
-        curves |= {
-            f"{region}/points": np.c_[_flat(shell), mask(shell)][seen], f"{region}/places": places,
-            f"{region}/force": force[:, :, 1],
-        }  # fmt: skip
+                measured(f"{region}: variation of peak force over {len(places)} places {at}", variation, "%"),
+                measured(pressed, moved, "%", at_most=MOVED_PERCENT),
+                measured(curved, left, "%", at_most=UNEXPLAINED_PERCENT),
+            ]
+        free = f"{region}: share of the mask that is farther than {1000 * BORDER_M:.0f} mm from its border"
+        measures.append(measured(free, 100 * shell.area[inner(shell)].sum() / shell.area[mask(shell)].sum(), "%"))
+        curves[f"{region}/points"] = np.c_[_flat(shell), mask(shell)][_upward(shell)]
+        curves |= {f"{region}/places": places, f"{region}/force": force[:, :, 1]}
     return CheckResult(check="uniformity", title=TITLE, measures=tuple(measures), curves=curves)
 
 
@@ -77,13 +71,9 @@ def _press(bench: Bench, place: Array) -> Array:
 
 def curvatures(shell: Shell, place: Array) -> Array:
     """Return the curvatures (2,) [1/m] of the undeformed surface, along the region and across it, at a place (along,
-    across).
-
-    They are those of the quadric that best fits the vertices within BORDER_M.
-    """
+    across): those of the quadric that best fits the vertices within BORDER_M."""
     local = (shell.vertices - shell.frame_origin) @ shell.frame
-    upward = shell.normals @ shell.frame[:, 2] > 0.0
-    x, y, z = local[upward & (np.linalg.norm(local[:, :2] - place, axis=1) < BORDER_M)].T
+    x, y, z = local[_upward(shell) & (np.linalg.norm(local[:, :2] - place, axis=1) < BORDER_M)].T
     x, y = x - place[0], y - place[1]
     terms = np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], 1)
     _, sx, sy, _, along, across = np.linalg.lstsq(terms, z, rcond=None)[0]
@@ -92,9 +82,7 @@ def curvatures(shell: Shell, place: Array) -> Array:
 
 
 def unexplained(force: Array, curvature: Array) -> float:
-    """Return the spread of the force that a linear law of both curvatures does not explain, as a share of the mean
-    force.
-    """
+    """Return the spread of the force that a linear law of both curvatures does not explain, over the mean force."""
     terms = np.c_[np.ones(len(force)), curvature]
     left = force - terms @ np.linalg.lstsq(terms, force, rcond=None)[0]
     return float(np.sqrt((left**2).sum() / (len(force) - terms.shape[1])) / force.mean())
@@ -103,6 +91,10 @@ def unexplained(force: Array, curvature: Array) -> float:
 def _flat(shell: Shell) -> Array:
     """Return the places (N, 2) [m] of the vertices, along and across, in the region's frame."""
     return ((shell.vertices - shell.frame_origin) @ shell.frame)[:, :2]
+
+
+def _upward(shell: Shell) -> npt.NDArray[np.bool_]:
+    return shell.normals @ shell.frame[:, 2] > 0.0
 
 
 def mask(shell: Shell) -> npt.NDArray[np.bool_]:
@@ -119,11 +111,9 @@ def inner(shell: Shell) -> npt.NDArray[np.bool_]:
 
 def random_places(shell: Shell, rng: np.random.Generator, count: int) -> Array:
     """Draw places (count, 2) [m], along and across, on the mask, at least BORDER_M from every vertex outside it."""
-    inside, far = mask(shell), inner(shell)
-    upward = shell.normals @ shell.frame[:, 2] > 0.0
-    flat = _flat(shell)
+    far, upward, flat = inner(shell), _upward(shell), _flat(shell)
     chosen = []
-    low, high = flat[inside].min(0), flat[inside].max(0)
+    low, high = flat[mask(shell)].min(0), flat[mask(shell)].max(0)
     while len(chosen) < count:
         place = rng.uniform(low, high)
         nearest = np.where(upward, np.linalg.norm(flat - place, axis=1), np.inf).argmin()
@@ -146,9 +136,9 @@ def draw(result: CheckResult, figure: Figure) -> None:
         above.grid(visible=False)
         above.set(xlabel="along [mm]", title=region.replace("_", " "))
         for k, depth in enumerate(DEPTHS_M):
-            cv = 100 * force[:, k].std(ddof=1) / force[:, k].mean()
-            below.plot(np.sort(force[:, k] / force[:, k].mean()), "o-", ms=3, lw=0.7,
-                       label=f"{1000 * depth:.0f} mm, CV {cv:.1f} %")  # fmt: skip
+            share = force[:, k] / force[:, k].mean()
+            label = f"{1000 * depth:.0f} mm, CV {100 * share.std(ddof=1):.1f} %"
+            below.plot(np.sort(share), "o-", ms=3, lw=0.7, label=label)
         below.set(xlabel="places in order of force", ylim=(0.6, 1.6))
         below.legend(loc="upper left")
     axes[0, 0].set_ylabel("across [mm]")

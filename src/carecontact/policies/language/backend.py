@@ -13,9 +13,7 @@ from pydantic_core import CoreSchema
 
 from carecontact.errors import ContractError, LanguageError
 from carecontact.interface.regions import REGIONS, all_regions
-from carecontact.policies.language.completion import Message, Transcript, one_line
-
-# What a language backend answers, and the protocol that every one of them follows.
+from carecontact.policies.language.completion import Answer, Message, Transcript, one_line
 
 ActionVerb = Literal["touch", "push", "scrub"]
 Side = Literal["right", "left", "none"]
@@ -36,7 +34,7 @@ def _spoken(name: str) -> str:
 
 
 class _AsEnum:
-    """Shows a language model the names to choose from."""
+    """Lists the valid names in the schema for a language model."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"enum": list(spoken_regions()), "type": "string"}
@@ -46,8 +44,6 @@ RegionName = Annotated[str, AfterValidator(_spoken), _AsEnum()]
 
 
 class Intent(BaseModel):
-    """Everything that an instruction may mean."""
-
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     action: ActionVerb
@@ -87,22 +83,13 @@ class LanguageBackend(Protocol):
         ...
 
     def take_calls(self) -> list[dict[str, object]]:
-        """What a language model was asked since the last time: purpose, backend, model, sha256 of request and
+        """Return the requests to a language model since the last call: purpose, backend, model, sha256 of request and
         completion; empty for rules."""
         ...
 
 
-# ``rules-v1``: a small closed vocabulary. What it does not understand it refuses; it never guesses.
-
 ACTIONS: Mapping[str, tuple[str, ...]] = {
-    "touch": (
-        "touch",
-        "contact",
-        "feel",
-        "rest your hand on",
-        "place your hand on",
-        "lay your hand on",
-    ),
+    "touch": ("touch", "contact", "feel", "rest your hand on", "place your hand on", "lay your hand on"),
     "push": ("push", "shove", "nudge", "displace", "move aside", "push aside"),
     "scrub": ("scrub", "wash", "wipe", "rub", "clean", "bathe", "cleanse"),
 }
@@ -115,7 +102,7 @@ NEGATIONS = ("not", "don't", "dont", "never", "avoid", "without", "no", "stop", 
 
 
 class Rules:
-    """Language backend ``rules-v1``.
+    """Language backend ``rules-v1``: a small closed vocabulary; it refuses what it does not understand.
 
     ``parse``: exactly one action and one region must be named, a limb needs its side, at most one manner, no negation.
     ``choose``: options of the intended primitive; then the near or upper approach; then, for a push, the longest lever
@@ -139,34 +126,34 @@ class Rules:
         region = _one(instruction, text, "region", {name: REGIONS[name].words for name in spoken_regions()})
         side = _at_most_one(instruction, text, "side", SIDES)
         if REGIONS[region].sided and side == "none":
-            raise LanguageError(f"instruction {instruction!r}: which {region.replace('_', ' ')}? say right or left")
+            name = region.replace("_", " ")
+            raise LanguageError(f"instruction {instruction!r}: which {name}? valid: right or left")
         if not REGIONS[region].sided and side != "none":
             raise LanguageError(f"instruction {instruction!r}: the {region} has no {side} side that rules-v1 knows")
         return region, side
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
         """Raises ContractError if no option has the intended primitive."""
-        fitting = [option for option in options if option.primitive == intent.action]
+        fitting = {index: option for index, option in enumerate(options) if option.primitive == intent.action}
         if not fitting:
             raise ContractError(f"none of {len(options)} options is a {intent.action}")
-        depth = _preferred({option.depth_m for option in fitting}, intent.manner)
-        speed = _preferred({option.speed_m_s for option in fitting}, intent.manner)
+        depth = _preferred({option.depth_m for option in fitting.values()}, intent.manner)
+        speed = _preferred({option.speed_m_s for option in fitting.values()}, intent.manner)
 
         def cost(index: int) -> tuple[float, ...]:
-            option = options[index]
+            option = fitting[index]
+            place = -option.key_point if intent.action == "push" else abs(option.key_point - 0.5)
             return (
-                option.primitive != intent.action,
                 option.approach == "far_side",
-                -option.key_point if intent.action == "push" else abs(option.key_point - 0.5),
+                place,
                 abs(option.depth_m - depth),
                 abs(option.speed_m_s - speed),
                 index,
             )
 
-        return min(range(len(options)), key=cost)
+        return min(fitting, key=cost)
 
     def take_calls(self) -> list[dict[str, object]]:
-        """None: nobody was asked."""
         return []
 
 
@@ -183,12 +170,8 @@ def _contains(text: str, phrase: str) -> bool:
     return re.search(rf"(?<![\w'-]){re.escape(phrase)}(?![\w'-])", text) is not None
 
 
-def _named(text: str, table: Mapping[str, tuple[str, ...]]) -> list[str]:
-    return [name for name, phrases in table.items() if any(_contains(text, phrase) for phrase in phrases)]
-
-
 def _at_most_one(instruction: str, text: str, what: str, table: Mapping[str, tuple[str, ...]]) -> str:
-    found = _named(text, table)
+    found = [name for name, phrases in table.items() if any(_contains(text, phrase) for phrase in phrases)]
     if len(found) > 1:
         raise LanguageError(f"instruction {instruction!r}: more than one {what} ({', '.join(found)})")
     return found[0] if found else "none"
@@ -206,8 +189,6 @@ def _preferred(values: set[float], manner: str) -> float:
     ordered = sorted(values)
     return {"gentle": ordered[0], "firm": ordered[-1], "none": ordered[(len(ordered) - 1) // 2]}[manner]
 
-
-# A language model as language backend: it reads the instruction and chooses an option, both by closed schemas.
 
 PROMPT_VERSION = "state-machine-v1"
 
@@ -248,19 +229,17 @@ class LanguageModel:
     def parse(self, instruction: str) -> Intent:
         """Return the intent of an instruction.
 
-        Raises LanguageError, with the model's words, if the model finds the instruction unclear, and also if an arm has
-        no side or the abdomen has one.
+        Raises LanguageError if the model finds the instruction unclear, if an arm has no side, or the abdomen has one.
         """
-        messages = [Message(role="system", content=PARSE), Message(role="user", content=instruction)]
-        said = self._transcript.answer(messages, Reading, purpose="parse", prompt_version=PROMPT_VERSION)
-        if said.unclear.strip():
-            unclear = one_line(said.unclear, limit=300)
+        reading = self._answer(PARSE, instruction, Reading, purpose="parse")
+        if reading.unclear.strip():
+            unclear = one_line(reading.unclear, limit=300)
             raise LanguageError(f"instruction {instruction!r}: {self.name} finds it unclear: {unclear}")
-        if REGIONS[said.region].sided != (said.side != "none"):
-            answer = f"side {said.side} for the {said.region}"
-            valid = "right or left" if REGIONS[said.region].sided else "none"
+        sided = REGIONS[reading.region].sided
+        if sided != (reading.side != "none"):
+            answer, valid = f"side {reading.side} for the {reading.region}", "right or left" if sided else "none"
             raise LanguageError(f"instruction {instruction!r}: {self.name} answers {answer}; valid: {valid}")
-        return Intent(action=said.action, region=said.region, side=said.side, manner=said.manner)
+        return Intent(**reading.model_dump(exclude={"unclear"}))
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
         """Return the index of the option that the model chooses."""
@@ -276,9 +255,11 @@ class LanguageModel:
 
         numbers: Any = Annotated[Literal[tuple(range(len(options)))], BeforeValidator(whole)]  # pyright: ignore[reportInvalidTypeForm]
         schema = create_model("Choice", __config__=ConfigDict(extra="forbid"), number=(numbers, ...), reason=(str, ...))
-        messages = [Message(role="system", content=CHOOSE), Message(role="user", content=asked)]
-        chosen = self._transcript.answer(messages, schema, purpose="choose", prompt_version=PROMPT_VERSION)
-        return int(chosen.model_dump()["number"])
+        return int(self._answer(CHOOSE, asked, schema, purpose="choose").model_dump()["number"])
+
+    def _answer(self, role: str, query: str, schema: type[Answer], *, purpose: str) -> Answer:
+        messages = [Message(role="system", content=role), Message(role="user", content=query)]
+        return self._transcript.answer(messages, schema, purpose=purpose, prompt_version=PROMPT_VERSION)
 
     def take_calls(self) -> list[dict[str, object]]:
         """Return the calls to the language model since the last time, for the recording."""

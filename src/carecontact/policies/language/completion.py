@@ -8,7 +8,6 @@ import hashlib
 import html
 import json
 import re
-import stat
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, TypeVar
@@ -18,16 +17,13 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from carecontact.errors import ConfigError, LanguageError
 
-# Code and JSON as language models send them: between fences of Markdown, or bare.
-
 _FENCE = re.compile(r"```[\w-]*[ \t\r]*\n(.*?)```", re.DOTALL)
 _FENCED_OBJECT = re.compile(r"```[\w-]*\s*(\{.*\})\s*```", re.DOTALL)
 
 
 def unfenced(text: str) -> str:
-    """Return what stands between fences, if anything does; otherwise the text as it is."""
-    blocks = _FENCE.findall(text)
-    return "\n".join(blocks) if blocks else text
+    """Return what stands between fences of Markdown, if anything does; otherwise the text as it is."""
+    return "\n".join(_FENCE.findall(text)) or text
 
 
 def json_of(text: str) -> str:
@@ -36,70 +32,62 @@ def json_of(text: str) -> str:
     return found[1] if found else text
 
 
-# Makes what an endpoint says fit to be stored and printed: without the run's secrets, printable and short.
+def first_fault(error: ValidationError, whole: str) -> str:
+    """Return the place and message of the first error; ``whole`` names the place if all of the text is wrong."""
+    first = error.errors()[0]
+    # The place may contain the name of a field that the text made up.
+    return f"{one_line('.'.join(map(str, first['loc'])), limit=100) or whole}: {first['msg']}"
+
 
 SHORTEST_SECRET = 6
 """Length [characters] from which a secret is looked for. A shorter one (``none``, ``test``) is a placeholder, and would
 be found in ordinary words."""
 SHORTEST_BASE64 = 8
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 REMOVED = "[secret removed]"
 CUT = " [...]"
 
 
 class Cleaner:
-    """Removes secrets from what one endpoint says.
+    """Removes secrets from the texts of an endpoint that repeats what it was sent.
 
-    This helps against endpoints that repeat what they were sent. One that means to give a secret away can always spell
-    it in a way that is not known here.
+    An endpoint that means to give a secret away can always spell it in a way that is not known here.
     """
 
     def __init__(self, secrets: Iterable[str] = ()) -> None:
         """``secrets``: values to remove; those of fewer than SHORTEST_SECRET characters stay."""
         spelled = {s for secret in secrets if len(secret) >= SHORTEST_SECRET for s in _spellings(secret)}
         longest_first = sorted(spelled, key=lambda s: (-len(s), s))
-        self._secrets = re.compile("|".join(map(re.escape, longest_first)), re.IGNORECASE) if spelled else None
+        self._secrets = re.compile("|".join(map(re.escape, longest_first)) or r"(?!)", re.IGNORECASE)
 
-    def text(self, said: str) -> str:
+    def text(self, text: str) -> str:
         """Return a text of any length with its line ends and tabs; other control characters become U+FFFD."""
-        said = self._without_secrets(said)
-        return "".join("\ufffd" if _is_control(c) else c for c in said)
+        return _CONTROL.sub("\ufffd", self._secrets.sub(REMOVED, text))
 
-    def line(self, said: str, *, limit: int) -> str:
+    def line(self, text: str, *, limit: int) -> str:
         """Return what ``one_line`` does, without secrets."""
         # Secrets are removed first, because the first half of a key that is cut in two would stay.
-        return one_line(self._without_secrets(said), limit=limit)
-
-    def _without_secrets(self, said: str) -> str:
-        return said if self._secrets is None else self._secrets.sub(REMOVED, said)
+        return one_line(self._secrets.sub(REMOVED, text), limit=limit)
 
 
-def one_line(said: str, *, limit: int) -> str:
+def one_line(text: str, *, limit: int) -> str:
     """Return one line of at most ``limit`` characters; what is not printable is escaped, and a cut is marked."""
-    said = " ".join(said.split())[: limit + 1]
-    said = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in said)
-    return said if len(said) <= limit else said[: limit - len(CUT)] + CUT
-
-
-def _is_control(c: str) -> bool:
-    return (c < " " and c not in "\n\r\t") or "\x7f" <= c <= "\x9f"
+    text = " ".join(text.split())[: limit + 1]
+    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return text if len(text) <= limit else text[: limit - len(CUT)] + CUT
 
 
 def _spellings(secret: str) -> Iterator[str]:
     """Yield a secret as it is, and as it looks in JSON, a Python literal, HTML, a URL, and base64 of a longer text."""
-    yield secret
-    yield from (json.dumps(secret)[1:-1], secret.replace("/", "\\/"), repr(secret)[1:-1], html.escape(secret))
+    yield from (secret, json.dumps(secret)[1:-1], secret.replace("/", "\\/"), repr(secret)[1:-1], html.escape(secret))
     yield from (quote(secret), quote(secret, safe=""), quote_plus(secret))
-    for before in range(3):
+    for before, depends in enumerate((0, 2, 3)):
         # Characters of base64 that depend on what stands beside the secret are left out.
         content = b"\0" * before + secret.encode()
-        whole = len(content) * 4 // 3
-        for encode in (base64.b64encode, base64.urlsafe_b64encode):
-            fragment = encode(content)[:whole].decode()[(0, 2, 3)[before] :]
-            if len(fragment) >= SHORTEST_BASE64:
-                yield fragment
+        fragment = base64.b64encode(content)[: len(content) * 4 // 3].decode()[depends:]
+        if len(fragment) >= SHORTEST_BASE64:
+            yield from (fragment, fragment.replace("+", "-").replace("/", "_"))
 
-
-# A request to a language model and its completion, with the hashes by which recorded ones are found.
 
 MAX_TEXT_CHARS = 16384
 """Longest answer; the token limit allows some 4,000 characters, and the wire to the harness 65,536 bytes a text."""
@@ -113,19 +101,17 @@ MODEL_NAME_WANTED = "1 to 128 letters, digits or @ / . _ ~ : + = -, such as gpt-
 """What the name of a requested model may be, because it stands in results, tables and file names."""
 
 
-class Message(BaseModel):
-    """One message of a conversation."""
-
+class Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+
+class Message(Frozen):
     role: Literal["system", "user", "assistant"]
     content: str
 
 
-class CompletionRequest(BaseModel):
+class CompletionRequest(Frozen):
     """Everything that a completion depends on; ``sha256`` is the key of a recorded completion."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     model: str
     messages: tuple[Message, ...]
@@ -142,14 +128,10 @@ class CompletionRequest(BaseModel):
         return hashlib.sha256(content.encode()).hexdigest()
 
 
-class Completion(BaseModel):
-    """What a language model answered."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class Completion(Frozen):
     text: Annotated[str, Field(max_length=MAX_TEXT_CHARS)]
     refusal: Annotated[str, Field(max_length=MAX_REFUSAL_CHARS)] | None = None
-    """What the model said instead of answering."""
+    """The model's words in place of an answer."""
     finish_reason: Name = "stop"
     """Any value but ``stop`` means that the text is not whole."""
     model: Name
@@ -184,18 +166,12 @@ class CompletionSource(Protocol):
         ...
 
 
-# ``replay:<hash>:<model>``: completions from a file, found by their requests. Any other request is an error.
-
 AUTHORED = "authored"
 """Model name of completions that a person wrote: results made with them show what the method does, and say so."""
 MAX_BYTES = 64 << 20
 
 
-class RecordedCompletion(BaseModel):
-    """One line of a replay file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class RecordedCompletion(Frozen):
     key: str
     """SHA-256 of the request."""
     request: CompletionRequest
@@ -219,7 +195,7 @@ class Replay:
                 self._add(line, place=f"{path}, line {number}")
         if not self._completions:
             raise ConfigError(f"replay file {path} contains no completion")
-        self.name = replay_name(content, model=self.model)
+        self.name = f"replay:{hashlib.sha256(content).hexdigest()[:12]}:{self.model}"
 
     def complete(self, request: CompletionRequest) -> Completion:
         """Return the recorded completion. Raises LanguageError if there is none; no similar one takes its place."""
@@ -236,36 +212,26 @@ class Replay:
         try:
             row = RecordedCompletion.model_validate_json(line)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = one_line(".".join(map(str, first["loc"])), limit=100) or "the line"
-            raise ConfigError(f"replay file {place}: {where}: {first['msg']}") from None
-        if row.key != row.request.sha256:
-            raise ConfigError(
-                f"replay file {place}: the key is {row.key[:12]}, but its request has {row.request.sha256[:12]}"
-            )
-        if self.model not in ("", row.request.model):
-            raise ConfigError(f"replay file {place}: model {row.request.model}, but lines before it have {self.model}")
-        if not MODEL_NAME.fullmatch(row.request.model):
-            raise ConfigError(
-                f"replay file {place}: request.model: expected {MODEL_NAME_WANTED}, got {row.request.model!r:.80}"
-            )
-        # A model that is asked twice may answer differently; which answer counts must not depend on the order of lines.
-        if self._completions.get(row.key, row.completion) != row.completion:
-            raise ConfigError(f"replay file {place}: an earlier line has another answer to the same request")
-        self.model = row.request.model
-        self._completions[row.key] = row.completion
-
-
-def replay_name(content: bytes, *, model: str) -> str:
-    """Return the name by which results call a replay file with this content."""
-    return f"replay:{hashlib.sha256(content).hexdigest()[:12]}:{model}"
+            raise ConfigError(f"replay file {place}: {first_fault(error, 'the line')}") from None
+        key, model, wrong = row.request.sha256, row.request.model, ""
+        if row.key != key:
+            wrong = f"the key is {row.key[:12]}, but its request has {key[:12]}"
+        elif self.model not in ("", model):
+            wrong = f"model {model}, but lines before it have {self.model}"
+        elif not MODEL_NAME.fullmatch(model):
+            wrong = f"request.model: expected {MODEL_NAME_WANTED}, got {model!r:.80}"
+        # The answer that counts must not depend on the order of the lines.
+        elif self._completions.get(key, row.completion) != row.completion:
+            wrong = "an earlier line has another answer to the same request"
+        if wrong:
+            raise ConfigError(f"replay file {place}: {wrong}")
+        self.model, self._completions[key] = model, row.completion
 
 
 def read_bytes(path: Path) -> bytes:
     """Read a file. Raises ConfigError if it is not a regular file, cannot be read or is larger than MAX_BYTES."""
     try:
-        # A pipe or device may have no end, or block for ever.
-        if not stat.S_ISREG(path.stat().st_mode):
+        if path.exists() and not path.is_file():
             raise ConfigError(f"replay file {path}: expected a regular file, got a folder, pipe or device")
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -276,13 +242,10 @@ def read_bytes(path: Path) -> bytes:
     return content
 
 
-# Asks a source of completions, notes every answer, and writes a replay file on request.
-
 Answer = TypeVar("Answer", bound=BaseModel)
 
 MAX_TOKENS = 1024
 REPAIRS = 1
-PLACE_CHARS = 100
 
 
 class Transcript:
@@ -315,10 +278,7 @@ class Transcript:
             try:
                 return schema.model_validate_json(json_of(completion.text))
             except ValidationError as error:
-                first = error.errors()[0]
-                # It may contain the name of a field that the answer made up.
-                place = one_line(".".join(map(str, first["loc"])), limit=PLACE_CHARS) or "the answer"
-                wrong = f"{place}: {first['msg']}"
+                wrong = first_fault(error, "the answer")
             messages += [
                 Message(role="assistant", content=completion.text),
                 Message(role="user", content=f"That does not fit the schema ({wrong}). Send the corrected JSON alone."),
@@ -338,13 +298,14 @@ class Transcript:
         self, messages: Sequence[Message], *, purpose: str, prompt_version: str, json_schema: dict[str, Any] | None
     ) -> Completion:
         request = CompletionRequest(
-            model=self._source.model, messages=tuple(messages), json_schema=json_schema, max_tokens=MAX_TOKENS,
+            model=self._source.model,
+            messages=tuple(messages),
+            json_schema=json_schema,
+            max_tokens=MAX_TOKENS,
             prompt_version=prompt_version,
-        )  # fmt: skip
-        call: dict[str, object] = {
-            "purpose": purpose, "backend": self.name, "prompt_version": prompt_version,
-            "request_sha256": request.sha256, "completion_sha256": None,
-        }  # fmt: skip
+        )
+        call: dict[str, object] = {"purpose": purpose, "backend": self.name, "prompt_version": prompt_version}
+        call |= {"request_sha256": request.sha256, "completion_sha256": None}
         try:
             completion = self._source.complete(request)
         except LanguageError as error:

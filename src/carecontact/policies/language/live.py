@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -31,13 +31,11 @@ from carecontact.policies.language.completion import (
     CompletionRequest,
     Replay,
     Transcript,
+    first_fault,
 )
 
 if TYPE_CHECKING:
     from openai import OpenAI
-
-
-# Address and key of the endpoint, from the variables that OpenAI's own clients read.
 
 URL_VARIABLE, KEY_VARIABLE = "OPENAI_BASE_URL", "OPENAI_API_KEY"
 DEFAULT_URL = "https://api.openai.com/v1"
@@ -56,7 +54,7 @@ class Address:
     endpoint: str
     """``host`` or ``host:port``: the part of the address that may be stored."""
     secrets: tuple[str, ...] = field(repr=False)
-    """Every value of the environment that a request carries and that nobody else may see."""
+    """Every confidential value of the environment that a request carries."""
 
 
 def address_of_environment() -> Address:
@@ -95,8 +93,6 @@ def _secrets(key: str, address: SplitResult) -> Iterator[str]:
             yield from (password, f"{user}:{password}")
 
 
-# A hard limit of wall time for anything that waits for others.
-
 Value = TypeVar("Value")
 
 
@@ -120,22 +116,16 @@ def call_within(seconds: float, function: Callable[[], Value]) -> Value:
     return answer.result(timeout=seconds)
 
 
-# What an endpoint sends back: the parts of a chat completion or an error that are used, read up to a limit.
-
 MAX_REPLY_BYTES = 1 << 20
 """Bytes that are read of any body, an error's too; a completion has some kilobytes."""
 
 
 class ReplyMessage(BaseModel):
-    """The message of a choice."""
-
     content: str | None = None
     refusal: str | None = None
 
 
 class Choice(BaseModel):
-    """One answer of a chat completion."""
-
     message: ReplyMessage
     finish_reason: str | None = None
 
@@ -147,43 +137,32 @@ class Reply(BaseModel):
     choices: list[Choice] = Field(min_length=1)
 
 
-class _ErrorEntry(BaseModel):
+class ErrorEntry(BaseModel):
     message: str
     param: str | None = None
 
 
-class _ErrorReply(BaseModel):
-    error: _ErrorEntry
+class ErrorReply(BaseModel):
+    error: ErrorEntry
 
 
 class StatusError(Exception):
-    """The endpoint answered with a status other than 2xx."""
-
     def __init__(self, status: int, body: str) -> None:
-        """``said`` and ``param`` are taken from the body where it is an error as OpenAI sends it."""
         self.status = status
         try:
-            entry = _ErrorReply.model_validate_json(body).error
-            self.said, self.param = entry.message, entry.param
+            self.entry = ErrorReply.model_validate_json(body).error
         except ValidationError:
-            self.said, self.param = body, None
-        super().__init__(f"HTTP {status}")
-
-    @property
-    def may_pass(self) -> bool:
-        """Whether another try may succeed."""
-        return self.status == 429 or self.status >= 500
+            self.entry = ErrorEntry(message=body)
 
 
-def read_body(response: Any, *, limit_s: float) -> tuple[bytes, bool]:
+def read_body(response: Any) -> tuple[bytes, bool]:
     """Return the unpacked body up to MAX_REPLY_BYTES, and whether that is all of it.
 
-    Raises TimeoutError after ``limit_s``: by then nobody waits for the body any more, and the thread that reads it must
-    not go on for days.
+    Raises TimeoutError after DEADLINE_S: by then the call has ended, and its thread must not go on reading for days.
     """
     content, began = bytearray(), time.monotonic()
     for piece in response.iter_bytes():
-        if time.monotonic() - began > limit_s:
+        if time.monotonic() - began > DEADLINE_S:
             raise TimeoutError
         content += piece
         if len(content) > MAX_REPLY_BYTES:
@@ -191,12 +170,9 @@ def read_body(response: Any, *, limit_s: float) -> tuple[bytes, bool]:
     return bytes(content), True
 
 
-# Sampling parameters as an endpoint accepts them: OpenAI's newer models take other names than most endpoints.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """Which parameters are sent."""
+    """Sampling parameters that are sent: OpenAI's newer models take other names than most endpoints."""
 
     temperature: bool = True
     """False if the endpoint accepts none; it then samples as it does by default."""
@@ -204,28 +180,17 @@ class Sampling:
     """Name of the token limit; the newer one, ``max_completion_tokens``, also counts a model's reasoning."""
 
     def parameters(self, request: CompletionRequest) -> dict[str, float | int]:
-        """Return the parameters to send with a request."""
         sent: dict[str, float | int] = {self.limit: request.max_tokens}
         return {"temperature": request.temperature, **sent} if self.temperature else sent
 
     def adapted(self, parameter: str | None, message: str) -> Sampling:
-        """Return what to send after an HTTP 400: what the error names is left out or replaced.
-
-        Args:
-            parameter: the error's own field for the name of a parameter. Where it is None, the name is looked for in
-                ``message``.
-            message: the error's text.
-        """
+        """Return what to send after an HTTP 400: the parameter that the error's field or text names is replaced."""
         named = {parameter} if parameter else set(re.findall(r"\b(?:temperature|max_tokens)\b", message))
-        changed = self
-        if "temperature" in named:
-            changed = replace(changed, temperature=False)
-        if "max_tokens" in named:
-            changed = replace(changed, limit="max_completion_tokens")
-        return changed
+        return Sampling(
+            temperature=self.temperature and "temperature" not in named,
+            limit="max_completion_tokens" if "max_tokens" in named else self.limit,
+        )
 
-
-# ``live:<model>``: any endpoint that speaks OpenAI's chat completions; nothing that it sends is trusted.
 
 DEADLINE_S = 25.0
 """Limit of one completion with all its tries: below the 30 s that a protocol allows a call of a policy."""
@@ -233,25 +198,19 @@ RETRIES = 1
 """Further tries where one may help: no connection, 429, 5xx."""
 RETRY_PAUSE_S = 0.5
 EVIDENCE_CHARS = 500
-"""Characters of what an endpoint said that an error message quotes."""
+"""Characters of an endpoint's text that an error message quotes."""
 
 
 class Live:
-    """Asks an endpoint at OPENAI_BASE_URL with the key OPENAI_API_KEY; a local endpoint needs no key.
+    """``live:<model>``: asks an endpoint at OPENAI_BASE_URL with the key OPENAI_API_KEY; a local one needs no key.
 
     No key or password of the environment gets into a completion or an error.
     """
 
     def __init__(self, model: str, *, deadline_s: float = DEADLINE_S) -> None:
-        """Read the environment; this connects to nothing yet.
+        """Read the environment, without a connection yet. ``deadline_s``: limit of one completion with all tries [s].
 
-        Args:
-            model: name of the model that is requested.
-            deadline_s: limit of one completion with all its tries [s].
-
-        Raises:
-            DependencyError: the package openai is not installed.
-            ConfigError: an address or key of the environment cannot be one.
+        Raises DependencyError without the package openai, ConfigError for an address or key that cannot be one.
         """
         self.model, self.name = model, f"live:{model}"
         self._deadline_s = deadline_s
@@ -261,10 +220,10 @@ class Live:
         self._client: OpenAI | None = self._new_client()
 
     def complete(self, request: CompletionRequest) -> Completion:
-        """Return the completion within the deadline, whatever the endpoint does.
+        """Return the completion within the deadline.
 
-        Raises LanguageError that names what went wrong: the endpoint is out of reach or slow, sends an HTTP error, or
-        sends a reply that is cut off, too long or not a chat completion.
+        Raises LanguageError if the endpoint is out of reach or slow, sends an HTTP error, or a reply that is cut off,
+        too long or not a chat completion.
         """
         import openai
 
@@ -281,12 +240,13 @@ class Live:
             except LanguageError:
                 raise
             except StatusError as error:
-                adapted = sampling.adapted(error.param, error.said) if error.status == 400 else sampling
-                if adapted != sampling:
-                    sampling = adapted
+                sent, text = sampling, error.entry.message
+                if error.status == 400:
+                    sampling = sent.adapted(error.entry.param, text)
+                if sampling != sent:
                     continue
-                wrong = f"HTTP {error.status}: {self._evidence(error.said)}"
-                if not error.may_pass:
+                wrong = f"HTTP {error.status}: {self._evidence(text)}"
+                if error.status != 429 and error.status < 500:
                     raise self._failure(wrong) from None
             except openai.OpenAIError as error:
                 cause = f" ({error.__cause__!r})" if error.__cause__ else ""
@@ -318,22 +278,16 @@ class Live:
             **sent,
             **options,
         ) as reply:
-            content, whole = read_body(reply, limit_s=DEADLINE_S)
+            content, whole = read_body(reply)
         if not whole:
             raise self._failure(f"the reply has more than {MAX_REPLY_BYTES} bytes")
         try:
             parsed = Reply.model_validate_json(content)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "the body"
-            raise self._failure(
-                f"the reply is not a chat completion ({where}: {first['msg']}): "
-                f"{self._evidence(content.decode(errors='replace'))}"
-            ) from None
-        return self._completion(parsed, request, sent)
-
-    def _completion(self, reply: Reply, request: CompletionRequest, sent: dict[str, float | int]) -> Completion:
-        choice, clean = reply.choices[0], self._cleaner
+            body = self._evidence(content.decode(errors="replace"))
+            fault = first_fault(error, "the body")
+            raise self._failure(f"the reply is not a chat completion ({fault}): {body}") from None
+        choice, clean = parsed.choices[0], self._cleaner
         text, refusal = clean.text(choice.message.content or ""), choice.message.refusal
         if len(text) > MAX_TEXT_CHARS:
             raise self._failure(f"the answer has {len(text)} characters; at most {MAX_TEXT_CHARS} are taken")
@@ -341,13 +295,13 @@ class Live:
             text=text,
             refusal=clean.line(refusal, limit=MAX_REFUSAL_CHARS) if refusal else None,
             finish_reason=clean.line(choice.finish_reason or "stop", limit=MAX_NAME_CHARS),
-            model=clean.line(reply.model or request.model, limit=MAX_NAME_CHARS),
+            model=clean.line(parsed.model or request.model, limit=MAX_NAME_CHARS),
             endpoint=self._address.endpoint,
             sent=sent,
         )
 
-    def _evidence(self, said: str) -> str:
-        return self._cleaner.line(said, limit=EVIDENCE_CHARS)
+    def _evidence(self, text: str) -> str:
+        return self._cleaner.line(text, limit=EVIDENCE_CHARS)
 
     def _failure(self, what: str) -> LanguageError:
         endpoint = self._address.endpoint
@@ -385,11 +339,9 @@ def _client(address: Address) -> OpenAI:
 def _raise_for_status(response: Any) -> None:
     """Raise StatusError before the client reads all of an error's body."""
     if not response.is_success:
-        content, _ = read_body(response, limit_s=DEADLINE_S)
+        content, _ = read_body(response)
         raise StatusError(response.status_code, content.decode(errors="replace"))
 
-
-# Finds the language backend that the text of a policy's argument ``language`` names.
 
 SPELLINGS = "rules-v1, replay:FILE.jsonl or live:MODEL"
 
@@ -415,10 +367,9 @@ def _source(spelled: str) -> Replay | Live:
     kind, _, rest = spelled.partition(":")
     if kind == "replay" and rest:
         return Replay(rest)
-    if kind == "live" and rest:
-        if not MODEL_NAME.fullmatch(rest):
-            raise ConfigError(f"language {spelled!r:.200}: expected as MODEL {MODEL_NAME_WANTED}")
+    if kind == "live" and MODEL_NAME.fullmatch(rest):
         return Live(rest)
+    wanted = SPELLINGS
     if kind == "live":
-        raise ConfigError(f"language {spelled!r:.200}: expected a model after it, as in live:my-model")
-    raise ConfigError(f"language {spelled!r:.200}: expected {SPELLINGS}")
+        wanted = f"as MODEL {MODEL_NAME_WANTED}" if rest else "a model after it, as in live:my-model"
+    raise ConfigError(f"language {spelled!r:.200}: expected {wanted}")

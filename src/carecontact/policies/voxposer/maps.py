@@ -9,8 +9,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-# Every number of the method, with its source; all were fixed before the first scored run.
-#
 # "Release" is huangwl18/VoxPoser at commit e3a4c9e: files of its folder src with line numbers, and "yaml" for
 # configs/rlbench_config.yaml. "Ours" means that the value is not published, or that it differs from the published one;
 # docs/voxposer.md gives the reasons.
@@ -108,8 +106,6 @@ JOINT_RADIUS_M = 0.04
 """Radius of the surface that counts as a joint's: half the visible width of an adult elbow, rounded."""
 
 
-# The voxels that all maps share.
-
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Voxel = tuple[int, int, int]
@@ -146,7 +142,6 @@ class Grid:
 
     @property
     def shape(self) -> Voxel:
-        """Shape of a map's array."""
         return MAP_SIZE, MAP_SIZE, MAP_SIZE
 
     def voxel(self, point_m: F64) -> Voxel:
@@ -168,22 +163,16 @@ class Grid:
         return self.low_m + voxels * self.pitch_m
 
 
-# Value maps as a program writes them: single voxels and boxes over a default. Arrays are made on demand.
-
 F32 = npt.NDArray[np.float32]
 MapKind = Literal["affordance", "avoidance", "velocity", "rotation", "gripper"]
 KINDS: tuple[MapKind, ...] = ("affordance", "avoidance", "rotation", "velocity", "gripper")
 """The order in which ``execute`` takes them (release: interfaces.py 78-79)."""
-VALUE_RANGE: dict[str, tuple[float, float]] = {
-    "affordance": (0.0, 1.0), "avoidance": (-1.0, 1.0), "velocity": (0.0, 2.0), "gripper": (0.0, 1.0)
-}  # fmt: skip
+VALUE_RANGE = {"affordance": (0.0, 1.0), "avoidance": (-1.0, 1.0), "velocity": (0.0, 2.0), "gripper": (0.0, 1.0)}
 """Lowest and highest value that a program may write; rotations are unit quaternions."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One voxel or box that a program wrote."""
-
     centre: Voxel
     radius_cm: float
     """Half the width of a box, the release's "radius" (interfaces.py 251-266); 0 means the voxel alone."""
@@ -217,9 +206,8 @@ class ValueMap:
         out = np.zeros(grid.shape, np.float32)
         for entry in self.entries:
             low, high = _box(grid, entry)
-            out[tuple(slice(max(a, 0), b + 1) for a, b in zip(low.tolist(), high.tolist(), strict=True))] = entry.value[
-                0
-            ]
+            box = tuple(slice(max(a, 0), b + 1) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+            out[box] = entry.value[0]
         return out
 
     def at(self, grid: Grid, point_m: F64) -> tuple[float, ...] | None:
@@ -243,16 +231,14 @@ def _box(grid: Grid, entry: Entry) -> tuple[I64, I64]:
     return np.array(entry.centre) - reach, np.array(entry.centre) + reach
 
 
-# Makes waypoints of a walk over voxels: smoothed, cut before a sharp bend, thinned out, and ended in a target voxel.
-#
-# The steps are those of the release's planners.py, to which fixed_values.py gives the lines.
-
 # The package ships no types.
 signal: Any = import_module("scipy.signal")
 
 
 def waypoints(path: I64, target: F32) -> F64:
     """Return (n, 3) waypoints in voxels, with fractions, of a walk (m, 3); the last one is a voxel of the target.
+
+    The walk is smoothed, cut before a sharp bend and thinned out, as in the release's planners.py.
 
     Args:
         path: (m, 3) voxels of the walk, at least two; the first is the tool's own and is left out.

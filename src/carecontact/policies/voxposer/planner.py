@@ -11,20 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.errors import ProgramError
 from carecontact.interface.action import Action
 from carecontact.interface.geometry import pixels
 from carecontact.interface.observation import CameraView
 from carecontact.policies.motion import slerp
 from carecontact.policies.voxposer import maps as fixed
 from carecontact.policies.voxposer.maps import Grid, MapKind, ValueMap, Voxel, goals, waypoints
-from carecontact.policies.voxposer.programs import Execution, MapQuery, Roles
-from carecontact.policies.voxposer.scene import Scene
-
-# Makes a path of maps: costs over the voxels and a greedy walk down them.
-#
-# It follows the release's planners.py and what interfaces.py does to the avoidance map before; docs/voxposer.md lists
-# the differences.
+from carecontact.policies.voxposer.programs import MapQuery
 
 Bool = npt.NDArray[np.bool_]
 F32 = npt.NDArray[np.float32]
@@ -53,46 +46,21 @@ class Plan:
     """(MAP_SIZE,) * 3 as the planner used it: what the program wrote and the scene."""
 
 
-def target_of(affordance: ValueMap | None, pose_tcp: F64, grid: Grid, *, subtask: str) -> F32:
-    """Return the (MAP_SIZE,) * 3 affordance, in which voxels with the value 1 are the target.
-
-    Without a map the tool (7,) stays where it is, because a call may only turn it. Raises ProgramError for a map
-    without a target.
-    """
-    stay = ValueMap(kind="affordance")
-    stay.add(grid.voxel(pose_tcp[:3]), (1.0,))
-    dense = (affordance or stay).dense(grid)
-    if not len(goals(dense)):
-        raise ProgramError(f"no voxel of the affordance map of {subtask!r} is 1: there is nowhere to go")
-    return dense
-
-
-def distance_to(target: F32) -> F32:
-    """Return the (MAP_SIZE,) * 3 distance of each voxel to the nearest one with the value 1 [voxel].
-
-    Raises ValueError if no voxel has the value 1.
-    """
-    free = target < 1
-    if free.all():
-        raise ValueError("no voxel of the affordance map is 1")
-    return np.asarray(ndimage.distance_transform_edt(free), np.float32)
-
-
 def plan(start: Voxel, target: F32, written_avoidance: F32, scene: Bool) -> Plan:
     """Find a path from ``start`` to the target that keeps away from what is to be avoided.
 
+    It follows the release's planners.py and what interfaces.py does to the avoidance map before; docs/voxposer.md lists
+    the differences.
+
     Args:
         start: the tool's voxel.
-        target: (MAP_SIZE,) * 3 affordance; voxels with the value 1 are the target.
+        target: (MAP_SIZE,) * 3 affordance; voxels with the value 1, at least one, are the target.
         written_avoidance: (MAP_SIZE,) * 3 avoidance that a program wrote.
         scene: (MAP_SIZE,) * 3 occupied voxels; away from target and tool they are avoided with the value 1.
-
-    Raises:
-        ValueError: the target is empty.
     """
-    distance = distance_to(target)
+    distance = np.asarray(ndimage.distance_transform_edt(target < 1), np.float32)
     blocked = scene & (distance >= fixed.TARGET_FREE_VOXELS)
-    blocked[_cube(start, fixed.START_FREE_VOXELS)] = False
+    blocked[tuple(slice(max(c - fixed.START_FREE_VOXELS, 0), c + fixed.START_FREE_VOXELS) for c in start)] = False
     avoidance = np.clip(written_avoidance + blocked, 0.0, 1.0)
     spread: F32 = ndimage.gaussian_filter(avoidance, fixed.AVOIDANCE_SIGMA_VOXELS)
     both = fixed.AFFORDANCE_WEIGHT * _normalised(distance) + fixed.AVOIDANCE_WEIGHT * _normalised(spread)
@@ -124,16 +92,10 @@ def _neighbours(here: I64) -> I64:
     return near if (near == inside).all() else np.unique(inside, axis=0)
 
 
-def _cube(centre: Voxel, half: int) -> tuple[slice, ...]:
-    return tuple(slice(max(c - half, 0), c + half) for c in centre)
-
-
 def _normalised(values: F32) -> F32:
     low, high = float(values.min()), float(values.max())
     return np.zeros_like(values) if high - low < 1e-12 else ((values - low) / (high - low)).astype(np.float32)
 
-
-# Makes a plan's targets until the next look: skips what leads back, keeps to the maps' speeds and turns.
 
 ROUNDING_S = 1e-9
 
@@ -179,14 +141,10 @@ class Manner:
 
 def manner(grid: Grid, place_m: F64, maps: Mapping[MapKind, ValueMap]) -> Manner:
     """Return what the velocity, rotation and gripper maps say for the voxel of a place (3,) in base [m]."""
-    velocity, rotation, gripper = maps.get("velocity"), maps.get("rotation"), maps.get("gripper")
-    factor = (velocity.at(grid, place_m) if velocity else None) or (1.0,)
-    opening = gripper.at(grid, place_m) if gripper else None
-    return Manner(
-        speed_m_s=fixed.FULL_SPEED_M_S * float(np.clip(factor[0], fixed.MIN_VELOCITY, 1.0)),
-        quat=rotation.at(grid, place_m) if rotation else None,
-        gripper=None if opening is None else opening[0],
-    )
+    at = {kind: value_map.at(grid, place_m) for kind, value_map in maps.items()}
+    factor, opening = at.get("velocity") or (1.0,), at.get("gripper")
+    speed_m_s = fixed.FULL_SPEED_M_S * float(np.clip(factor[0], fixed.MIN_VELOCITY, 1.0))
+    return Manner(speed_m_s=speed_m_s, quat=at.get("rotation"), gripper=None if opening is None else opening[0])
 
 
 def motion(
@@ -213,10 +171,10 @@ def motion(
     actions: list[Action] = []
     began_s = 0.0
     for goal in waypoints_m:
-        said = manner(grid, goal, maps)
-        turn = quat if said.quat is None else np.array(said.quat)
+        how = manner(grid, goal, maps)
+        turn = quat if how.quat is None else np.array(how.quat)
         angle = 2 * float(np.arccos(np.clip(abs(float(quat @ turn)), 0.0, 1.0)))
-        seconds = max(float(np.linalg.norm(goal - position)) / said.speed_m_s, angle / fixed.ROTATION_SPEED_RAD_S)
+        seconds = max(float(np.linalg.norm(goal - position)) / how.speed_m_s, angle / fixed.ROTATION_SPEED_RAD_S)
         while (since_s := (len(actions) + 1) / fixed.CONTROL_HZ - began_s) <= seconds + ROUNDING_S:
             if len(actions) == budget:
                 return Motion(actions=actions, whole=False)
@@ -224,7 +182,7 @@ def motion(
             # The tool may have been pushed out of the workspace; no target may lie there.
             place = np.clip(position + share * (goal - position), grid.low_m, grid.high_m)
             pose = np.concatenate([place, slerp(quat, turn, share)])
-            actions.append(Action(pose_tcp_in_base=pose, gripper=said.gripper))
+            actions.append(Action(pose_tcp_in_base=pose, gripper=how.gripper))
         began_s += seconds
         position, quat = goal, turn
     if len(actions) == budget and began_s > horizon_s + ROUNDING_S:
@@ -235,23 +193,11 @@ def motion(
     return Motion(actions=actions, whole=True)
 
 
-def homewards(home: F64, pose_tcp: F64, *, grid: Grid, settle_s: float) -> Motion:
-    """Move from ``pose_tcp`` (7,) straight back to the pose ``home`` (7,) in one stretch, both in base."""
-    turn = ValueMap(kind="rotation")
-    turn.add(grid.voxel(home[:3]), tuple(home[3:].tolist()), radius_cm=fixed.RADIUS_LIMIT_CM)
-    way = np.clip(home[None, :3], grid.low_m, grid.high_m)
-    return motion(way, pose_tcp, grid=grid, maps={"rotation": turn}, horizon_s=fixed.HOME_LIMIT_S, settle_s=settle_s)
-
-
-# What the recording keeps of a plan: its path, and for the first plan of a motion slices of its maps.
-
 NOTED_ROWS = 50
 """Rows of a map, or target voxels, that are kept at most."""
 
 
-def path_notes(
-    made: Plan, target: npt.NDArray[np.float32], *, tool_m: F64, grid: Grid, view: CameraView
-) -> dict[str, object]:
+def path_notes(made: Plan, target: F32, *, tool_m: F64, grid: Grid, view: CameraView) -> dict[str, object]:
     """Return the notes of every plan: the path from the tool (3,) on, and the middle of the target, in base [m]."""
     path = np.vstack([tool_m, grid.points(made.waypoints)])
     return {
@@ -263,7 +209,7 @@ def path_notes(
 
 def map_notes(
     made: Plan,
-    target: npt.NDArray[np.float32],
+    target: F32,
     *,
     queries: Mapping[MapKind, MapQuery],
     maps: Mapping[MapKind, ValueMap],
@@ -279,61 +225,16 @@ def map_notes(
     way = [manner(grid, place, maps) for place in grid.points(made.waypoints)]
     return {
         "grid": {"low_m": grid.low_m.tolist(), "high_m": grid.high_m.tolist(), "level": z, "upright": y},
-        "intrinsics": view.intrinsics.tolist(), "pose_camera_in_base": view.pose_camera_in_base.tolist(),
+        "intrinsics": view.intrinsics.tolist(),
+        "pose_camera_in_base": view.pose_camera_in_base.tolist(),
         "maps": {kind: query.query for kind, query in queries.items()},
         "written": {kind: value_map.rows()[:NOTED_ROWS] for kind, value_map in maps.items()},
         "target_voxels": targets[:NOTED_ROWS].tolist(),
-        "path_speed_m_s": [said.speed_m_s for said in way], "path_quat": [said.quat for said in way],
-        "path_gripper": [said.gripper for said in way],
-        "cost_level": made.cost[:, :, z].astype(np.float16), "cost_upright": made.cost[:, y, :].astype(np.float16),
+        "path_speed_m_s": [how.speed_m_s for how in way],
+        "path_quat": [how.quat for how in way],
+        "path_gripper": [how.gripper for how in way],
+        "cost_level": made.cost[:, :, z].astype(np.float16),
+        "cost_upright": made.cost[:, y, :].astype(np.float16),
         "distance_level": made.distance[:, :, z].astype(np.float16),
         "avoidance_level": made.avoidance[:, :, z].astype(np.float16),
-    }  # fmt: skip
-
-
-# The next stretch of one call of ``execute``: compose its maps from the latest look, plan, and move a little.
-
-
-def next_stretch(
-    current: Execution,
-    scene: Scene,
-    roles: Roles,
-    notes: dict[str, object],
-    *,
-    subtask: str,
-    horizon_s: float,
-    settle_s: float,
-) -> Motion | None:
-    """Return the next stretch of a motion; None when the motion is over.
-
-    Args:
-        current: the call that the robot carries out; its plans are counted here.
-        scene: what is seen now.
-        roles: composes the maps.
-        notes: what is written down of the plan is added here.
-        subtask: what the motion is for, as errors and notes name it.
-        horizon_s: length of the stretch at most [s].
-        settle_s: how long the end of a path is held [s].
-
-    Raises:
-        ProgramError: a program that composes a map is stopped or wrong.
-        PerceptionFailure: a part that a program requests has never been seen.
-    """
-    grid, tool, view = scene.grid, scene.pose_tcp, scene.view
-    if current.home is not None:
-        return None if current.whole else homewards(current.home, tool, grid=grid, settle_s=settle_s)
-    if current.plans >= fixed.MAX_PLANS:
-        return None
-    maps: dict[MapKind, ValueMap] = {kind: roles.value_map(query) for kind, query in current.maps.items()}
-    target = target_of(maps.get("affordance"), tool, grid, subtask=subtask)
-    avoidance = maps.get("avoidance", ValueMap(kind="avoidance")).dense(grid)
-    made = plan(grid.voxel(tool[:3]), target, avoidance, scene.occupied())
-    if current.whole and made.distance[grid.voxel(tool[:3])] <= fixed.REACHED_VOXELS:
-        return None
-    current.plans += 1
-    notes |= {"subtask": subtask, "plan": current.plans}
-    notes |= path_notes(made, target, tool_m=tool[:3], grid=grid, view=view)
-    if current.plans == 1:
-        notes |= map_notes(made, target, queries=current.maps, maps=maps, grid=grid, view=view)
-    waypoints = forward_only(grid.points(made.waypoints), tool[:3])
-    return motion(waypoints, tool, grid=grid, maps=maps, horizon_s=horizon_s, settle_s=settle_s)
+    }

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from inspect import Parameter
 from pathlib import Path
@@ -23,8 +23,8 @@ from carecontact.interface.robot import Session
 from carecontact.policies.language.completion import Transcript
 from carecontact.policies.language.live import transcript_of
 from carecontact.policies.voxposer import maps as fixed
-from carecontact.policies.voxposer.maps import Grid, ValueMap
-from carecontact.policies.voxposer.planner import Motion, motion, next_stretch
+from carecontact.policies.voxposer.maps import Entry, Grid, MapKind, ValueMap, goals
+from carecontact.policies.voxposer.planner import Motion, forward_only, map_notes, motion, path_notes, plan
 from carecontact.policies.voxposer.programs import (
     EXECUTE,
     HOME,
@@ -51,15 +51,13 @@ from carecontact.policies.voxposer.scene import (
     touches,
 )
 
-# VoxPoser as a policy: it requests programs once, then looks, composes maps, plans, moves a little, and repeats.
-
 F64 = npt.NDArray[np.float64]
 CAMERA = "overhead"
 logger = logging.getLogger(__name__)
 
 
 class VoxPoser:
-    """Follows value maps from programs that a language model wrote; see docs/voxposer.md.
+    """Requests programs once, then looks, composes value maps, plans, moves a little, and repeats; docs/voxposer.md.
 
     If it cannot find a part that a program requests, it ends the trial where it stands and logs the reason. A program
     that is stopped or wrong raises ProgramError, and a language backend that fails raises LanguageError; in both
@@ -75,26 +73,24 @@ class VoxPoser:
     settle_s = fixed.SETTLE_S
 
     def __init__(self, *, language: str | Transcript | None = None, record: Path | None = None) -> None:
-        """
-        Args:
-            language: replay:FILE.jsonl, live:MODEL, or the transcript itself, which answers the prompts; by default the
-                shipped completions that were written by hand.
-            record: file to which the completions of a live model are added.
+        """``language``: replay:FILE.jsonl, live:MODEL, or the transcript that answers the prompts; by default the
+        shipped completions. ``record``: file to which the completions of a live model are added.
 
         Raises ConfigError for rules-v1 or a language that cannot be read, DependencyError for live without its package.
         """
         if not isinstance(language, Transcript):
             shipped = resources.files(__package__ or __name__) / "completions" / self.authored
-            language = _transcript(language or f"replay:{shipped}", record)
-        self._transcript = language
+            language = transcript_of(language or f"replay:{shipped}", record=record)
+        if language is None:
+            raise ConfigError("voxposer needs programs: --language replay:FILE.jsonl or live:MODEL, not rules-v1")
         self.card = PolicyCard(
             name=self.name,
             modalities=("rgb", "depth", "points", "masks", "landmarks"),
             cameras=(CAMERA,),
             control_hz=fixed.CONTROL_HZ,
-            language_backend=self._transcript.name,
+            language_backend=language.name,
         )
-        self._programs = Programs(self._transcript, self.prompts)
+        self._programs = Programs(language, self.prompts)
         self._sandbox: Sandbox | None = None
         self._grid: Grid | None = None
 
@@ -113,7 +109,7 @@ class VoxPoser:
         self._roles = Roles(self._programs, self._sandbox, MapFunctions(self._scene, self._grid))
         self._notes: dict[str, object] = {"method": self.name, "camera": CAMERA}
         self._home: F64 | None = None
-        self._current: Execution | None = None
+        self._stretches = self._run()
         subtasks = self._roles.subtasks(instruction)
         self._notes["subtasks"] = subtasks
         self._composers = Composers(self._sandbox, self._roles, subtasks, self._composer_functions())
@@ -128,7 +124,7 @@ class VoxPoser:
             if self._home is None:
                 self._home = observation.pose_tcp_in_base.copy()
                 self._composers.rehearse(self._try_execute)
-            return self._next_actions()
+            return next(self._stretches, [Action(done=True)])
         except PerceptionFailure as error:
             logger.warning("%s ends the trial where it stands: %s", self.name, error)
             self._notes["ended_because"] = str(error)
@@ -142,28 +138,47 @@ class VoxPoser:
         self._notes = {"method": self.name, "camera": CAMERA}
         return notes if len(notes) > 2 else {}
 
-    def _next_actions(self) -> Sequence[Action]:
-        while True:
-            if self._current is None:
-                pause = self._composers.next_move()
-                if pause is None:
-                    return [Action(done=True)]
-                home = pause.function == HOME
-                self._current = (
-                    Execution(maps={}, home=self._home) if home else self._execution(pause.args, pause.kwargs)
-                )
-            moved = self._move(self._current)
-            if moved is not None:
-                self._current.whole = moved.whole
-                return moved.actions
-            self._current = None
+    def _run(self) -> Iterator[Sequence[Action]]:
+        """Yield the actions until the next look, from the observation of the moment."""
+        for call in self._composers.moves:
+            home = Execution(maps={}, home=self._home)
+            current = home if call.function_name == HOME else self._execution(call.args, call.kwargs)
+            while (moved := self._move(current)) is not None:
+                current.whole = moved.whole
+                yield moved.actions
 
     def _move(self, current: Execution) -> Motion | None:
-        """Return the next stretch of a motion; None when the motion is over."""
-        return next_stretch(
-            current, self._scene, self._roles, self._notes,
-            subtask=self._composers.subtask, horizon_s=self.horizon_s, settle_s=self.settle_s,
-        )  # fmt: skip
+        """Return the next stretch of a motion, from maps that are composed again; None when the motion is over."""
+        grid, tool, view, subtask = self._scene.grid, self._scene.pose_tcp, self._scene.view, self._composers.subtask
+        if current.home is not None:
+            return None if current.whole else self._homewards(current.home, tool)
+        if current.plans >= fixed.MAX_PLANS:
+            return None
+        maps: dict[MapKind, ValueMap] = {kind: self._roles.value_map(query) for kind, query in current.maps.items()}
+        here = grid.voxel(tool[:3])
+        # Without a map of where to go, the tool stays in its place, because a call may only turn it.
+        stay = ValueMap(kind="affordance", entries=[Entry(here, 0.0, (1.0,))])
+        target = maps.get("affordance", stay).dense(grid)
+        if not len(goals(target)):
+            raise ProgramError(f"no voxel of the affordance map of {subtask!r} is 1: there is nowhere to go")
+        made = plan(here, target, maps.get("avoidance", ValueMap(kind="avoidance")).dense(grid), self._scene.occupied())
+        if current.whole and made.distance[here] <= fixed.REACHED_VOXELS:
+            return None
+        current.plans += 1
+        self._notes |= {"subtask": subtask, "plan": current.plans}
+        self._notes |= path_notes(made, target, tool_m=tool[:3], grid=grid, view=view)
+        if current.plans == 1:
+            self._notes |= map_notes(made, target, queries=current.maps, maps=maps, grid=grid, view=view)
+        way = forward_only(grid.points(made.waypoints), tool[:3])
+        return motion(way, tool, grid=grid, maps=maps, horizon_s=self.horizon_s, settle_s=self.settle_s)
+
+    def _homewards(self, home: F64, tool: F64) -> Motion:
+        """Move from ``tool`` (7,) straight back to the pose ``home`` (7,) in one stretch, both in base."""
+        grid, quat = self._scene.grid, tuple(home[3:].tolist())
+        turn = ValueMap(kind="rotation", entries=[Entry(grid.voxel(home[:3]), fixed.RADIUS_LIMIT_CM, quat)])
+        way = np.clip(home[None, :3], grid.low_m, grid.high_m)
+        limit_s = fixed.HOME_LIMIT_S
+        return motion(way, tool, grid=grid, maps={"rotation": turn}, horizon_s=limit_s, settle_s=self.settle_s)
 
     def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Execution:
         """Return what a call of ``execute`` requests. Raises ProgramError for arguments that it does not take."""
@@ -186,20 +201,8 @@ class VoxPoser:
             self._roles.value_map(query)
 
 
-def _transcript(language: str, record: Path | None) -> Transcript:
-    transcript = transcript_of(language, record=record)
-    if transcript is None:
-        raise ConfigError("voxposer needs programs: --language replay:FILE.jsonl or live:MODEL, not rules-v1")
-    return transcript
-
-
-# What voxposer-phased pursues once the tool touches: a way to slide or a distance to push, read from the encoders.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Objective:
-    """What a contact shall achieve."""
-
     kind: Literal["slide", "displace"]
     direction: F64
     """(3,) level unit vector in base."""
@@ -210,10 +213,7 @@ class Objective:
 
 
 def objective_functions(grid: Grid) -> dict[str, Callable[..., object]]:
-    """Return ``slide`` and ``displace``, which programs call to make an objective.
-
-    Both raise TypeError or ValueError for arguments that they do not take.
-    """
+    """Return ``slide`` and ``displace``, which programs call to make an objective."""
 
     def made(kind: Literal["slide", "displace"], direction: object, distance_cm: object, span_cm: object) -> object:
         way = numbers(direction, 3, "direction") * grid.pitch_m * [1.0, 1.0, 0.0]
@@ -235,80 +235,66 @@ def objective_functions(grid: Grid) -> dict[str, Callable[..., object]]:
     return {"slide": slide, "displace": displace}
 
 
-@dataclass(kw_only=True)
 class Pursuit:
     """An objective from the moment of touching on; ``next_motion`` is called once at each look."""
 
-    objective: Objective
-    skin: F64
-    """(N, 3) the person as seen before the arm came near, in base [m]."""
-    start: F64
-    """(3,) the tool when it touched, in base [m]."""
-    done_m: float = 0.0
-    """How much of the objective's distance is done."""
-    looks: int = 0
-    _last: F64 = field(init=False)
-    _lead_m: float = 0.0
-    _forth: bool = True
-    _held: bool = False
-    _commanded: Action | None = None
-    """The last action of a displacement."""
-    _gap_m: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._last = self.start
-        self._gap_m = gap(self.skin, self.start, self.objective.direction) if self.objective.kind == "displace" else 0.0
+    def __init__(self, *, objective: Objective, skin: F64, start: F64) -> None:
+        """
+        Args:
+            skin: (N, 3) the person as seen before the arm came near, in base [m].
+            start: (3,) the tool when it touched, in base [m].
+        """
+        self.objective, self._skin, self._start = objective, skin, start
+        self.done_m = 0.0
+        """How much of the objective's distance is done."""
+        self._motions = self._slide() if objective.kind == "slide" else self._displace()
 
     def next_motion(self, pose_tcp: F64, grid: Grid) -> Motion | None:
-        """Return the motion until the next look for a tool at ``pose_tcp`` (7,) in base.
+        """Return the motion until the next look for a tool (7,) in base; None once the objective is met or given up."""
+        self._pose, self._grid = pose_tcp, grid
+        return next(self._motions, None)
 
-        None means that the objective is met (and, for a displacement, was held), or is given up after
-        MAX_PROGRESS_LOOKS.
-        """
-        tool, along = pose_tcp[:3], self.objective.direction
-        if self.objective.kind == "slide":
-            self.done_m += abs(float((tool - self._last) @ along))
-        else:
-            self.done_m = float((tool - self.start) @ along) - self._gap_m
-        self._last = tool.copy()
-        self.looks += 1
-        met = self.done_m >= self.objective.distance_m
-        if self._held or self.looks > fixed.MAX_PROGRESS_LOOKS or (met and self.objective.kind == "slide"):
-            return None
-        return self._slide(pose_tcp, grid) if self.objective.kind == "slide" else self._displace(pose_tcp, grid, met)
+    def _slide(self) -> Iterator[Motion]:
+        last = self._start
+        for look in range(fixed.MAX_PROGRESS_LOOKS + 1):
+            tool = self._pose[:3]
+            self.done_m += abs(float((tool - last) @ self.objective.direction))
+            if self.done_m >= self.objective.distance_m or look == fixed.MAX_PROGRESS_LOOKS:
+                return
+            last = tool.copy()
+            goal = self._start + self.objective.span_m / 2 * (-1) ** look * self.objective.direction
+            count = max(2, int(np.ceil(np.linalg.norm((goal - tool)[:2]) / fixed.SKIN_RADIUS_M)))
+            way = tool + np.linspace(0, 1, count + 1)[1:, None] * (goal - tool)
+            for point in way:
+                point[2] = skin_height(self._skin, point) - fixed.PRESS_M
+            yield _steady(way, self._pose, self._grid, fixed.SLIDE_SPEED_M_S, fixed.HOME_LIMIT_S)
 
-    def _slide(self, pose_tcp: F64, grid: Grid) -> Motion:
-        half = self.objective.span_m / 2 * (1 if self._forth else -1)
-        self._forth = not self._forth
-        goal = self.start + half * self.objective.direction
-        count = max(2, int(np.ceil(np.linalg.norm((goal - pose_tcp[:3])[:2]) / fixed.SKIN_RADIUS_M)))
-        way = pose_tcp[:3] + np.linspace(0, 1, count + 1)[1:, None] * (goal - pose_tcp[:3])
-        for point in way:
-            point[2] = skin_height(self.skin, point) - fixed.PRESS_M
-        return _steady(way, pose_tcp, grid, fixed.SLIDE_SPEED_M_S, fixed.HOME_LIMIT_S)
-
-    def _displace(self, pose_tcp: F64, grid: Grid, met: bool) -> Motion:
-        if met and self._commanded is not None:
-            # The target is held, not its lead over the tool: a tool that nothing stops reaches it and goes no further.
-            self._held = True
-            count = round(fixed.DISPLACE_HOLD_S * fixed.CONTROL_HZ)
-            return Motion(actions=[self._commanded] * count, whole=True)
-        self._lead_m = min(self._lead_m + fixed.LEAD_STEP_M, fixed.LEAD_LIMIT_M)
-        goal = pose_tcp[:3] + self._lead_m * self.objective.direction
-        goal[2] = self.start[2]
-        moved = _steady(goal[None], pose_tcp, grid, fixed.DISPLACE_SPEED_M_S, fixed.HORIZON_S)
-        self._commanded = moved.actions[-1]
-        return Motion(actions=moved.actions, whole=True)
+    def _displace(self) -> Iterator[Motion]:
+        along, lead_m = self.objective.direction, 0.0
+        gap_m, commanded, held = gap(self._skin, self._start, along), None, False
+        for look in range(fixed.MAX_PROGRESS_LOOKS + 1):
+            self.done_m = float((self._pose[:3] - self._start) @ along) - gap_m
+            if held or look == fixed.MAX_PROGRESS_LOOKS:
+                return
+            if self.done_m >= self.objective.distance_m and commanded is not None:
+                # The target is held, not its lead: a tool that nothing stops reaches it and goes no further.
+                held, count = True, round(fixed.DISPLACE_HOLD_S * fixed.CONTROL_HZ)
+                yield Motion(actions=[commanded] * count, whole=True)
+                continue
+            lead_m = min(lead_m + fixed.LEAD_STEP_M, fixed.LEAD_LIMIT_M)
+            goal = self._pose[:3] + lead_m * along
+            goal[2] = self._start[2]
+            moved = _steady(goal[None], self._pose, self._grid, fixed.DISPLACE_SPEED_M_S, fixed.HORIZON_S)
+            commanded = moved.actions[-1]
+            yield Motion(actions=moved.actions, whole=True)
 
 
 def _steady(way: F64, pose_tcp: F64, grid: Grid, speed_m_s: float, horizon_s: float) -> Motion:
-    pace = ValueMap(kind="velocity")
     middle = fixed.MAP_SIZE // 2
-    pace.add((middle, middle, middle), (speed_m_s / fixed.FULL_SPEED_M_S,), radius_cm=fixed.RADIUS_LIMIT_CM)
+    everywhere = Entry((middle, middle, middle), fixed.RADIUS_LIMIT_CM, (speed_m_s / fixed.FULL_SPEED_M_S,))
+    pace = ValueMap(kind="velocity", entries=[everywhere])
     return motion(way, pose_tcp, grid=grid, maps={"velocity": pace}, horizon_s=horizon_s)
 
-
-# ``voxposer-phased``: value maps lead up to the touch, then a progress objective leads; nothing measures force.
 
 ROLE = "get_progress"
 
@@ -344,12 +330,10 @@ class VoxPoserPhased(VoxPoser):
     )
 
     def reset(self, instruction: str) -> None:
-        """Ask the planner for the subtasks, as VoxPoser does."""
         super().reset(instruction)
         self._skin: F64 | None = None
 
     def act(self, observation: Observation) -> Sequence[Action]:
-        """Keep the skin of the first look, and act as VoxPoser does."""
         if self._skin is None:
             self._skin = person_points(observation.cameras[CAMERA])
         return super().act(observation)
@@ -385,10 +369,12 @@ class VoxPoserPhased(VoxPoser):
         pursuit = current.pursuit
         moved = pursuit.next_motion(tool, self._scene.grid)
         self._notes |= {
-            "subtask": self._composers.subtask, "progress": current.progress.query,
-            "progress_m": round(pursuit.done_m, 4), "progress_of_m": pursuit.objective.distance_m,
+            "subtask": self._composers.subtask,
+            "progress": current.progress.query,
+            "progress_m": round(pursuit.done_m, 4),
+            "progress_of_m": pursuit.objective.distance_m,
             "pursuing": moved is not None,
-        }  # fmt: skip
+        }
         return moved
 
     def _objective(self, query: ProgressQuery) -> Objective:

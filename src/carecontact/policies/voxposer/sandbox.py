@@ -5,32 +5,18 @@ from __future__ import annotations
 import datetime
 import inspect
 import time
-from collections.abc import Callable, Collection, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from pydantic_monty import (
-    CollectString,
-    FunctionSnapshot,
-    Monty,
-    MontyComplete,
-    MontyCrashedError,
-    MontyError,
-    MontyRuntimeError,
-    MontySession,
-    MontySyntaxError,
-    OSPolicy,
-    ResourceLimits,
-)
+import pydantic_monty as monty
 
 from carecontact.errors import CarecontactError, ProgramError
 
-# How long the programs of one step may take together, without the time that a language model takes.
-
 
 class ProgramTime:
-    """A stopwatch over programs that call each other.
+    """A stopwatch over programs that call each other, without the time that a language model takes.
 
     Each program has a limit of its own, but one may call a thousand others, and a call of the policy that misses its
     deadline leaves no notes.
@@ -39,11 +25,9 @@ class ProgramTime:
     def __init__(self, limit_s: float) -> None:
         """``limit_s``: for all programs of one step together [s]."""
         self.limit_s = limit_s
-        self._depth, self._since = 0, 0.0
-        self._used_s = 0.0
+        self._depth, self._since, self._used_s = 0, 0.0, 0.0
 
     def start_over(self) -> None:
-        """Begin a step: nothing is used yet."""
         self._used_s = 0.0
 
     @property
@@ -82,8 +66,6 @@ class ProgramTime:
             self._since += time.monotonic() - began
 
 
-# Functions of ours that a program in the sandbox may call, and how their errors leave the sandbox.
-
 MAX_CALLS = 2000
 """Calls of our functions that one program may make."""
 
@@ -103,15 +85,15 @@ class HostFunctions:
         self.table: dict[str, Any] = {name: self._watched(name, function) for name, function in functions.items()}
 
     @contextmanager
-    def errors_of(self, name: str) -> Generator[None, None, None]:
-        """Turn what stops the program called ``name`` into a ProgramError, and raise an error of ours as it is."""
+    def errors(self) -> Generator[None, None, None]:
+        """Turn the end of a stopped program into a ProgramError, and raise an error of ours as it is."""
         try:
             yield
-        except MontyError as error:
+        except monty.MontyError as error:
             if self._error is None:
                 # The program's own limit may have been what the step had left; then the step's limit is the reason.
-                self.time.check(name)
-            raise self._error or _stopped(name, error) from None
+                self.time.check(self._program)
+            raise self._error or _stopped(self._program, error) from None
         if self._error is not None:
             raise self._error
 
@@ -143,24 +125,22 @@ def bound(
         raise TypeError(f"{error}; the call is {name}{inspect.Signature(bare)}") from None
 
 
-def _stopped(name: str, error: MontyError) -> ProgramError:
+def _stopped(name: str, error: monty.MontyError) -> ProgramError:
     line = ""
-    if isinstance(error, MontyRuntimeError | MontySyntaxError):
-        said = error.display("type-msg").replace("feed time limit", "time limit")
-        said = said.replace(f"suspension limit {MAX_CALLS} exceeded", f"more than {MAX_CALLS} calls")
+    if isinstance(error, monty.MontyRuntimeError | monty.MontySyntaxError):
+        reason = error.display("type-msg").replace("feed time limit", "time limit")
+        reason = reason.replace(f"suspension limit {MAX_CALLS} exceeded", f"more than {MAX_CALLS} calls")
         frames = error.traceback()
         if frames:
             line = f" (line {frames[-1].line}: {(frames[-1].source_line or '').strip():.120})"
-    elif isinstance(error, MontyCrashedError):
-        said = "it hung and was killed" if error.timed_out else "it crashed its interpreter"
+    elif isinstance(error, monty.MontyCrashedError):
+        reason = "it hung and was killed" if error.timed_out else "it crashed its interpreter"
     else:
-        said = f"{type(error).__name__}: {error}"
-    return ProgramError(f"program {name} was stopped: {' '.join(said.split()):.400}{line}")
+        reason = f"{type(error).__name__}: {error}"
+    return ProgramError(f"program {name} was stopped: {' '.join(reason.split()):.400}{line}")
 
 
-# Runs programs that a language model wrote: in another process and interpreter, with limits on everything.
-
-LIMITS = ResourceLimits(
+LIMITS = monty.ResourceLimits(
     max_feed_duration_secs=2.0, max_memory=64 << 20, max_recursion_depth=200, max_suspensions=MAX_CALLS
 )
 """Limits of one program. Programs need milliseconds and kilobytes, because their calls do the work here."""
@@ -171,19 +151,9 @@ REQUEST_S = 10.0
 """A worker that does not answer for this long is killed."""
 PRINTED_BYTES = 65536
 MAX_PROGRAM_CHARS = 20_000
-OS_POLICY = OSPolicy(datetime=datetime.datetime(2000, 1, 1), sleep="zero", random_start={"seed": 0})
+OS_POLICY = monty.OSPolicy(datetime=datetime.datetime(2000, 1, 1), sleep="zero", random_start={"seed": 0})
 """No clock, no waiting and no random numbers: the same program does the same thing each time."""
 RESULT = "ret_val"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pause:
-    """A call at which a program waits for its answer."""
-
-    function: str
-    args: tuple[Any, ...]
-    kwargs: dict[str, Any]
-    snapshot: FunctionSnapshot
 
 
 class Sandbox:
@@ -196,85 +166,54 @@ class Sandbox:
 
     def __init__(self) -> None:
         self._stack = ExitStack()
-        self._pool = self._stack.enter_context(Monty(max_processes=3, request_timeout=REQUEST_S))
+        self._pool = self._stack.enter_context(monty.Monty(max_processes=3, request_timeout=REQUEST_S))
         self.time = ProgramTime(STEP_S)
 
     def close(self) -> None:
-        """End the interpreters' processes."""
         self._stack.close()
 
     def value(self, name: str, code: str, functions: Functions) -> object:
         """Run the program called ``name``, and return what it leaves in ``ret_val``."""
-        self.time.check(name)
-        code, host = _checked(name, code), HostFunctions(name, functions, self.time)
+        host = self._host(name, code, functions)
         shortest = min(LIMITS.get("max_feed_duration_secs") or STEP_S, self.time.left_s)
-        limits: ResourceLimits = {**LIMITS, "max_feed_duration_secs": shortest}
-        with self.time.running(), host.errors_of(name), self._session(limits) as session:
+        limits: monty.ResourceLimits = {**LIMITS, "max_feed_duration_secs": shortest}
+        with self.time.running(), host.errors(), self._session(limits) as session:
             return session.feed_run(
-                f"{code}\n{RESULT}", external_lookup=host.table, print_callback=CollectString(PRINTED_BYTES)
+                f"{code}\n{RESULT}", external_lookup=host.table, print_callback=monty.CollectString(PRINTED_BYTES)
             )
 
     def run(self, name: str, code: str, functions: Functions) -> None:
         """Run the program called ``name`` for the functions that it calls."""
         self.value(name, f"{code}\n{RESULT} = None", functions)
 
-    def started(self, name: str, code: str, functions: Functions, *, pause_at: Collection[str]) -> PausedProgram:
-        """Run the program up to its first call of one of ``pause_at``, which are names in ``functions``."""
-        self.time.check(name)
-        host = HostFunctions(name, functions, self.time)
-        return PausedProgram(self._session(LIMITS), name, _checked(name, code), host, pause_at)
+    def calls(
+        self, name: str, code: str, functions: Functions, *, pause_at: Collection[str]
+    ) -> Iterator[monty.FunctionSnapshot]:
+        """Run the program called ``name``, and yield each of its calls of ``pause_at``, which are names in
+        ``functions``. Meanwhile the program waits; then the call returns None.
+        """
+        host, printed = self._host(name, code, functions), monty.CollectString(PRINTED_BYTES)
+        with self._session(LIMITS) as session:
+            go_on = partial(session.feed_start, code, external_lookup=host.table, print_callback=printed)
+            while True:
+                with self.time.running(), host.errors():
+                    snapshot: Any = go_on()
+                    while not isinstance(snapshot, monty.MontyComplete) and not _calls(snapshot, pause_at):
+                        snapshot = snapshot.resume_auto()
+                if isinstance(snapshot, monty.MontyComplete):
+                    return
+                yield snapshot
+                go_on = partial(snapshot.resume, {"return_value": None})
 
-    def _session(self, limits: ResourceLimits) -> MontySession:
+    def _host(self, name: str, code: str, functions: Functions) -> HostFunctions:
+        self.time.check(name)
+        if len(code) > MAX_PROGRAM_CHARS:
+            raise ProgramError(f"program {name}: it has {len(code)} characters; at most {MAX_PROGRAM_CHARS} are run")
+        return HostFunctions(name, functions, self.time)
+
+    def _session(self, limits: monty.ResourceLimits) -> monty.MontySession:
         return self._pool.checkout(limits=limits, os_policy=OS_POLICY)
 
 
-class PausedProgram:
-    """A program that waits while the robot carries out one of its calls."""
-
-    def __init__(
-        self, session: MontySession, name: str, code: str, host: HostFunctions, pause_at: Collection[str]
-    ) -> None:
-        self._name, self._pause_at, self._host = name, pause_at, host
-        self._stack = ExitStack()
-        self.pause: Pause | None = None
-        """The call at which the program waits; None once it has ended."""
-        self._go_on(
-            lambda: self._stack.enter_context(session).feed_start(
-                code, external_lookup=self._host.table, print_callback=CollectString(PRINTED_BYTES)
-            )
-        )
-
-    def resume(self) -> None:
-        """Run on to the next such call or to the end; the present call returns None."""
-        assert self.pause is not None
-        snapshot = self.pause.snapshot
-        self._go_on(lambda: snapshot.resume({"return_value": None}))
-
-    def close(self) -> None:
-        """Drop the program."""
-        self.pause = None
-        self._stack.close()
-
-    def _go_on(self, begin: Callable[[], object]) -> None:
-        try:
-            with self._host.time.running(), self._host.errors_of(self._name):
-                self._to_the_next_pause(begin())
-        except BaseException:
-            self.close()
-            raise
-
-    def _to_the_next_pause(self, snapshot: Any) -> None:
-        while not isinstance(snapshot, MontyComplete):
-            if isinstance(snapshot, FunctionSnapshot) and snapshot.function_name in self._pause_at:
-                self.pause = Pause(
-                    function=snapshot.function_name, args=snapshot.args, kwargs=snapshot.kwargs, snapshot=snapshot
-                )
-                return
-            snapshot = snapshot.resume_auto()
-        self.close()
-
-
-def _checked(name: str, code: str) -> str:
-    if len(code) > MAX_PROGRAM_CHARS:
-        raise ProgramError(f"program {name}: it has {len(code)} characters; at most {MAX_PROGRAM_CHARS} are run")
-    return code
+def _calls(snapshot: object, names: Collection[str]) -> bool:
+    return isinstance(snapshot, monty.FunctionSnapshot) and snapshot.function_name in names

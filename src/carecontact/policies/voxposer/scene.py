@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -18,13 +20,11 @@ from carecontact.interface.body_view import (
     region_from_observation,
 )
 from carecontact.interface.geometry import matrix_from_quat, pixels
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.observation import Observation
 from carecontact.interface.regions import REGIONS, STANDARD_REGIONS
 from carecontact.policies.motion import CAP_RADIUS_M, tool_quat
 from carecontact.policies.voxposer import maps as fixed
 from carecontact.policies.voxposer.maps import KINDS, VALUE_RANGE, Grid, MapKind, ValueMap, Voxel
-
-# Checks of what a program passes to a function: numbers, vectors and texts of a workable size.
 
 F64 = npt.NDArray[np.float64]
 
@@ -63,10 +63,6 @@ def text_of(query: object) -> str:
     return query
 
 
-# Remembers where the skin was seen before the arm came near, from which voxposer-phased concludes that the tool
-# touches.
-
-
 def touches(skin: F64, tool: F64) -> bool:
     """Return whether the round cap of a tool at (3,) is within CONTACT_M of the seen skin (N, 3), all in base [m]."""
     centre = tool + [0.0, 0.0, CAP_RADIUS_M]
@@ -93,8 +89,6 @@ def skin_height(skin: F64, place: F64) -> float:
     near = skin[np.hypot(*(skin[:, :2] - place[:2]).T) < fixed.SKIN_RADIUS_M, 2]
     return float(np.percentile(near, 90)) if len(near) else float(place[2]) + fixed.PRESS_M
 
-
-# What one camera shows of the scene: parts of the person by name, and everything that is in the way.
 
 Bool = npt.NDArray[np.bool_]
 
@@ -131,19 +125,16 @@ class Scene:
     def __init__(self, camera: str, grid: Grid) -> None:
         """``camera``: name of the camera that is used; ``grid``: the voxels of ``occupied``."""
         self._camera, self.grid = camera, grid
-        self._observation: Observation | None = None
         self._kept: dict[str, Part] = {}
         self._fresh: set[str] = set()
 
     def look(self, observation: Observation) -> None:
-        """Take over a new observation."""
-        self._observation = observation
+        self._observation, self.view = observation, observation.cameras[self._camera]
         self._fresh = set()
 
     @property
     def pose_tcp(self) -> F64:
         """(7,) pose of the tool in base: position [m], quat_wxyz."""
-        assert self._observation is not None
         return self._observation.pose_tcp_in_base
 
     def find(self, name: str) -> Part:
@@ -155,16 +146,12 @@ class Scene:
             tcp = self.pose_tcp[:3]
             return Part(name=name, position_m=tcp, points_m=tcp[None], normal=np.array([0.0, 0.0, 1.0]))
         kept = self._kept.get(name)
-        if name in self._fresh and kept is not None:
-            return kept
-        self._fresh.add(name)
         if kept is None:
             self._kept[name] = self._seen(name)
-        elif not self._hidden(kept):
-            try:
+        elif name not in self._fresh and not self._hidden(kept):
+            with suppress(PerceptionFailure):
                 self._kept[name] = self._seen(name)
-            except PerceptionFailure:
-                pass
+        self._fresh.add(name)
         return self._kept[name]
 
     def occupied(self) -> Bool:
@@ -182,12 +169,10 @@ class Scene:
         if name in JOINTS:
             return self._joint(name)
         region, side = PARTS[name]
-        assert self._observation is not None
         found = region_from_observation(self._observation, region, side=side, camera=self._camera)
         offset = person_points(self.view) - found.centre_m
-        inside = (np.abs(offset @ found.axis) <= found.half_length_m) & (
-            np.abs(offset @ found.lateral) <= found.radius_m
-        )
+        inside = np.abs(offset @ found.axis) <= found.half_length_m
+        inside &= np.abs(offset @ found.lateral) <= found.radius_m
         # Leave out what lies behind the limb in the picture: a limb is no higher than it is wide.
         inside &= np.abs(offset @ found.normal) <= found.radius_m
         points = offset[inside] + found.centre_m
@@ -197,12 +182,12 @@ class Scene:
 
     def _joint(self, name: str) -> Part:
         view = self.view
-        if view.landmarks is None or view.landmarks_in_base is None:
-            raise PerceptionFailure(f"camera {self._camera}: landmarks are needed")
+        assert view.landmarks is not None
+        assert view.landmarks_in_base is not None
         index = LANDMARK[name]
         visibility, place = float(view.landmarks[index, 2]), view.landmarks_in_base[index].astype(np.float64)
         if not visibility >= MIN_VISIBILITY or not np.isfinite(place).all():
-            raise PerceptionFailure(f"{name} is hidden, has no depth, or nobody was found")
+            raise PerceptionFailure(f"{name} is hidden, has no depth, or no person was found")
         person = person_points(view)
         near = person[np.linalg.norm(person - place, axis=1) < fixed.JOINT_RADIUS_M]
         points = near if len(near) else place[None]
@@ -217,14 +202,6 @@ class Scene:
         covered = robot[seen[inside, 1], seen[inside, 0]]
         return len(covered) == 0 or float(covered.mean()) > fixed.OCCLUDED_SHARE
 
-    @property
-    def view(self) -> CameraView:
-        """The camera's part of the latest observation."""
-        assert self._observation is not None
-        return self._observation.cameras[self._camera]
-
-
-# What a program may call to find parts and to write maps: it gets handles, never an array or an object of Python's.
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -253,14 +230,14 @@ class PartHandle:
 
 
 def offered(part: PartHandle) -> ClassInstance:
-    """Return a part as it is put into the hands of a program."""
+    """Return a part as a program gets it: a handle, never an array or another object of Python's."""
     return ClassInstance(part, eager_attrs=("name", "position", "low", "high", "aabb", "normal"))
 
 
 class MapFunctions:
     """The functions of programs that compose maps and find parts; they change nothing but the maps that they make.
 
-    Every one of them raises TypeError or ValueError for an argument that it does not take.
+    All raise TypeError or ValueError for an argument that they do not take.
     """
 
     def __init__(self, scene: Scene, grid: Grid) -> None:
@@ -269,24 +246,23 @@ class MapFunctions:
     def table(self) -> dict[str, Callable[..., object]]:
         """Return the functions by the names under which programs call them."""
 
-        def maker(kind: MapKind) -> Callable[..., object]:
-            return lambda: ClassInstance(ValueMap(kind=kind))
+        def empty_map(kind: MapKind) -> object:
+            return ClassInstance(ValueMap(kind=kind))
 
-        makers = {f"get_empty_{kind}_map": maker(kind) for kind in KINDS}
-        return makers | {
-            "detect": self.detect, "set_voxel": self.set_voxel, "set_voxel_by_radius": self.set_voxel_by_radius,
-            "cm2index": self.cm2index, "index2cm": self.index2cm, "vec2quat": self.vec2quat,
-            "get_ee_pos": self.get_ee_pos,
-        }  # fmt: skip
+        own = ("detect", "set_voxel", "set_voxel_by_radius", "cm2index", "index2cm", "vec2quat", "get_ee_pos")
+        makers = {f"get_empty_{kind}_map": partial(empty_map, kind) for kind in KINDS}
+        return {**makers, **{name: getattr(self, name) for name in own}}
 
     def detect(self, name: object) -> object:
         """Return the part called ``name``. Raises PerceptionFailure if it cannot be found."""
         if not isinstance(name, str) or name not in NAMES:
             raise ValueError(f"detect: {name!r:.80} is not a known name; valid: {', '.join(NAMES)}")
-        return handle(self._scene.find(name), self._grid)
+        part, voxel = self._scene.find(name), self._grid.voxel
+        low, high = voxel(part.points_m.min(axis=0)), voxel(part.points_m.max(axis=0))
+        x, y, z = part.normal.tolist()
+        return offered(PartHandle(name=name, position=voxel(part.position_m), low=low, high=high, normal=(x, y, z)))
 
     def get_ee_pos(self) -> Voxel:
-        """Return the tool's voxel."""
         return self._grid.voxel(self._scene.pose_tcp[:3])
 
     def set_voxel(self, voxel_map: object, voxel_xyz: object, value: object = 1) -> object:
@@ -334,16 +310,6 @@ class MapFunctions:
         now = matrix_from_quat(self._scene.pose_tcp[3:])
         side = now[:, 0] if abs(float(now[:, 0] @ axis)) < 0.99 else now[:, 1]
         return tuple(tool_quat(axis, side).tolist())
-
-
-def handle(part: Part, grid: Grid) -> ClassInstance:
-    """Return the handle that a program gets for a part."""
-    low, high = grid.voxel(part.points_m.min(axis=0)), grid.voxel(part.points_m.max(axis=0))
-    nx, ny, nz = part.normal.tolist()
-    seen = PartHandle(
-        name=part.name, position=grid.voxel(part.position_m), low=low, high=high, normal=(nx, ny, nz)
-    )  # fmt: skip
-    return offered(seen)
 
 
 def _value(kind: MapKind, value: object) -> tuple[float, ...]:

@@ -1,118 +1,103 @@
-"""Sections that show trials one by one: their table, force traces, and the moment of peak force."""
+"""Sections that show trials one by one: their table, force traces, and the contact at peak force."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 from carecontact.interface.regions import REGIONS
 from carecontact.protocol.protocol import Protocol
 from carecontact.recording.schema import Recording
-from carecontact.report.failures import evidence_text, only_crashes, progress, result_word
+from carecontact.report.failures import cause_text, evidence_text, only_crashes, progress, result_word
 from carecontact.report.force_trace import ForceTrace, force_trace, trace_svg
 from carecontact.report.links import link_to_page, shortened
-from carecontact.report.miss import drawn_svg, is_hidden, miss_svg, nearest_miss
+from carecontact.report.miss import Miss, drawn_svg, is_hidden, miss_svg, nearest_miss
 from carecontact.report.moment import peak_moment, peak_svg
-from carecontact.report.run_page import FAILURES_SHOWN, Kept, Page, section, table_script
+from carecontact.report.run_page import FAILURES_SHOWN, FOLD, Kept, Page, section, table_script
+from carecontact.report.sections.failures import pictured
 from carecontact.report.tables import headlines
 from carecontact.report.words import NOT_DEFINED, beyond_text, consumed_text, shown, task_name
 from carecontact.scoring.contact import faint_press, find_contact
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 
-# The trials one by one: result, metrics, progress, and why a trial failed.
-
 NEAR_LIMIT = 0.5
-"""Share of a borrowed safety gate from which on the report names the segment."""
-TRIALS_TEMPLATE = """\
-<section id="trials">
-<h2>Trial by trial</h2>
-<p class="note">{% if n == 1 %}The only trial.{% else %}{% if unknown %}{{ trials }}{% else %}All {{ trials }}{% endif %}.{% endif %} "Gate" is the safety gate of the named region. Every other touched segment has to stay below its own safety gate, or below the strictest one if it has none; the table names a segment without its own if its peak was at least half of the strictest one.{% if not pages %} For the page of a trial, run <span class="keep">carecontact report TRIAL.h5</span>, or <span class="keep">carecontact report DIR --trials</span> for all of them.{% endif %}</p>
-<form class="filter" id="filter" hidden>
-<label>Task <select id="filter-task"><option value="">all</option>{% for task in tasks %}<option>{{ task }}</option>{% endfor %}</select></label>
-<label>Result <select id="filter-result"><option value="">all</option>{% for result in results %}<option>{{ result }}</option>{% endfor %}</select></label>
-<label>Words <input id="filter-words" type="search" autocomplete="off"></label>
-<output id="filter-count"></output>
-</form>
-<div class="scroll" tabindex="0" role="region" aria-label="Table of trials">
-<table id="trial-table">
-<thead><tr><th scope="col">trial</th><th scope="col" class="num">seed</th><th scope="col">result</th><th scope="col" class="num">gate [N]</th>{% for label in labels %}<th scope="col" class="num">{{ label }}</th>{% endfor %}<th scope="col" class="wide">progress</th></tr></thead>
-{% for d in details %}
-{% set why = d.failure or d.evidence or d.notes %}
-<tbody id="{{ d.trial_id }}" data-task="{{ d.task_id }}" data-result="{{ d.result_text }}">
-<tr class="{{ 'has-why' if why else 'has-progress' }}"><th scope="row" class="keep" data-v="{{ d.trial_id }}">{{ d.link|safe }}{{ d.trial_id }}</a><span class="wide"> {{ d.name }}</span></th><td class="num" data-v="{{ d.seed }}">{{ d.seed }}</td><td><span class="badge {{ d.result }}">{{ d.result_text }}</span></td><td class="num" data-v="{{ d.gate }}">{{ d.gate }}</td>{% for cell in d.cells %}<td class="num" data-v="{{ cell }}">{{ cell|replace("-", "−") }}</td>{% endfor %}<td class="wide">{{ d.progress }}{% if d.files and not why %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
-<tr class="why{{ '' if why else ' narrow' }}"><td colspan="{{ labels|length + 5 }}"><span class="narrow">{{ d.progress }}{% if why %}<br>{% endif %}</span>{% if d.failure %}<b>{{ d.failure }}</b>{% endif %}{% if d.failure and d.evidence %}: {% endif %}{{ d.evidence }}{% for name, text in d.notes %}{% if not loop.first or d.failure or d.evidence %}<br>{% endif %}<b>{{ name }}</b>: {{ text }}{% endfor %}{% if d.files %} <span class="files">{% for words, address in d.files %}<a href="{{ address }}">{{ words }}</a>{% if not loop.last %} · {% endif %}{% endfor %}</span>{% endif %}</td></tr>
-</tbody>
-{% endfor %}
-</table>
-</div>
-<script>{{ script|safe }}</script>
-</section>
-"""
+"""Share of a borrowed safety gate from which on the page names the segment."""
+TELLING = 6
+"""Number of force traces above the fold."""
+WITHOUT_HAND = 'class="skin moment drawn"'
+"""Part of a drawing of a contact that the stored picture does not show."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrialRow:
-    trial_id: str
-    task_id: str
-    name: str
-    seed: int
-    result: str
-    """pass, hard, region, fail or crash: the style; the words are in ``result_text``."""
-    result_text: str
+    score: TrialScore
+    result: tuple[str, str]
+    """Style (pass, hard, region, fail or crash) and words."""
     gate: str
     """Force limit of the named region [N]."""
     cells: tuple[str, ...]
-    """One for each headline metric."""
+    """One for each headline metric; none where no contact counted."""
     progress: str
     notes: tuple[tuple[str, str], ...]
-    """Name and text of what is told beside the failure: segments over their gate, segments at NEAR_LIMIT of a gate
-    that is not their own, joints beyond their range, and joints that are flagged."""
-    failure: str
-    """Mode and attribution; empty if none."""
-    evidence: str
-    has_page: bool
-    """Whether the page of the trial is there."""
+    """Name and text: failure mode and evidence, segments over their gate, segments at NEAR_LIMIT of a gate that is not
+    their own, joints beyond their range, and joints that are flagged."""
     link: str
-    """Beginning of the link to that page."""
+    """Beginning of the link to the page of the trial."""
     files: tuple[tuple[str, str], ...]
     """Words and address of the other files of the trial."""
 
 
-@section("trials", order=90, template=TRIALS_TEMPLATE)
+def keep_nearest(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    if not score.valid_contact and (miss := nearest_miss(recording)) is not None:
+        kept.setdefault("nearest", {})[score.trial_id] = miss
+
+
+@section("trials", "Trials", order=40, keep=keep_nearest)
 def trials(page: Page) -> dict[str, Any] | None:
     if not page.judged:
         return None
-    rows = [trial_row(score, page.protocol, links=page.links) for score in page.judged]
+    nearest: Mapping[str, Miss] = page.kept["trials"].get("nearest", {})
+    rows = [
+        trial_row(score, page.protocol, links=page.links, nearest=nearest.get(score.trial_id)) for score in page.judged
+    ]
     return {
-        "n": len(page.judged),
         "trials": page.trials,
-        "unknown": len(page.unjudged),
-        "details": rows,
-        "labels": [metric.label for metric in headlines()],
-        "tasks": sorted({row.task_id for row in rows}),
-        "results": sorted({row.result_text for row in rows}),
-        "pages": any(row.has_page for row in rows),
+        "rows": rows,
+        "labels": [metric.label for metric in headlines()] if any(row.cells for row in rows) else [],
+        "tasks": sorted({row.score.task_id for row in rows}),
+        "results": sorted({row.result[1] for row in rows}),
+        "pages": any(f"trial/{row.score.trial_id}.html" in page.links for row in rows),
         "script": table_script(),
     }
 
 
-def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[str, str] | None = None) -> TrialRow:
+def trial_row(
+    score: TrialScore,
+    protocol: Protocol | None,
+    *,
+    links: Mapping[str, str] | None = None,
+    nearest: Miss | None = None,
+) -> TrialRow:
     """
     Args:
         protocol: of the run; None where no recording could be read.
         links: file in the run's folder -> its address.
+        nearest: where the tool came nearest to the region in a trial without contact.
     """
-    result, text = result_word(score)
     ratios, gate = dict(score.over_limit), NOT_DEFINED
     if protocol is not None:
-        limits = Limits.of(protocol, score)
-        gate = f"{limits.gate_n:g}"
-        for segment, ratio in limits.borrowed.items():
-            ratios.setdefault(segment, ratio)
+        gamma = protocol.limits.gamma
+        gate = f"{gamma * protocol.f_pain(REGIONS[score.region].segment):g}"
+        for segment in score.fallback_limits:
+            ratios.setdefault(segment, score.peak_force_n[segment] / (gamma * protocol.f_pain(segment)))
     borrowed = {s: ratios[s] for s in score.fallback_limits if ratios.get(s, 0.0) >= NEAR_LIMIT}
+    failure = " · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word)
+    evidence = shortened(evidence_text(score) or score.failure_message or "")
     notes = (
+        (failure, evidence),
         ("over the safety gate", _ratios(score, score.over_limit, "its safety gate")),
         ("no limit of its own", _ratios(score, borrowed, "the strictest safety gate")),
         ("joint beyond its range", beyond_text(score)),
@@ -124,39 +109,19 @@ def trial_row(score: TrialScore, protocol: Protocol | None, *, links: Mapping[st
         ("recording", f"{score.trial_id}.h5"),
         ("log", f"{score.trial_id}.log"),
     )
+    reached = progress(score)
+    if nearest is not None:
+        reached += f"; nearest {1000 * nearest.away_m:.0f} mm from the region, at {nearest.time_s:.1f} s"
     return TrialRow(
-        trial_id=score.trial_id,
-        task_id=score.task_id,
-        name=task_name(score),
-        seed=score.seed,
-        result=result,
-        result_text=text,
+        score=score,
+        result=result_word(score),
         gate=gate,
-        cells=tuple(_cell(metric, score) for metric in headlines()),
-        progress=progress(score),
-        notes=tuple((name, text) for name, text in notes if text),
-        failure=" · ".join(word for word in ((score.failure_mode or "").replace("_", " "), score.attribution) if word),
-        evidence=shortened(evidence_text(score) or score.failure_message or ""),
-        has_page=(has_page := f"trial/{score.trial_id}.html" in addresses),
-        link=link_to_page(score.trial_id, is_there=has_page),
+        cells=tuple(_cell(metric, score) for metric in headlines()) if score.valid_contact else (),
+        progress=reached,
+        notes=tuple((name, text) for name, text in notes if text or name == failure != ""),
+        link=link_to_page(score.trial_id, is_there=f"trial/{score.trial_id}.html" in addresses),
         files=tuple((words, addresses[name]) for words, name in files if name in addresses),
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    gate_n: float
-    """gamma' F_pain of the named region's segment."""
-    borrowed: dict[str, float]
-    """Touched segment without a limit of its own -> its peak over the safety gate that holds for it."""
-
-    @classmethod
-    def of(cls, protocol: Protocol, score: TrialScore) -> Limits:
-        gamma, segment = protocol.limits.gamma, REGIONS[score.region].segment
-        return cls(
-            gate_n=gamma * protocol.f_pain(segment),
-            borrowed={s: score.peak_force_n[s] / (gamma * protocol.f_pain(s)) for s in score.fallback_limits},
-        )
 
 
 def _cell(metric: Metric, score: TrialScore) -> str:
@@ -172,128 +137,99 @@ def _ratios(score: TrialScore, ratio_of: Mapping[str, float], gate: str) -> str:
     )
 
 
-# Force over time, one panel a trial.
-
-TRACES_TEMPLATE = """\
-<section id="force">
-<h2>Force over time</h2>
-<p class="note">{% if traces %}Norm of the robot's force on a body segment, in newtons, against the limits of that segment. The vertical scale differs between panels; a limit appears, with the name of its segment, once the force on that segment reaches a quarter of it.{% endif %}{% if not all_shown %} {{ n_shown }} of {{ n }} trials: the first of each task, and up to {{ failures_shown }} that did not pass, taken from all tasks in turn.{% endif %}</p>
-{% if traces %}
-<ul class="legend">
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="target" d="M0 6h26"/></svg>segment of the named region</li>
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="other" d="M0 6h26"/></svg>largest on any other segment</li>
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><rect class="window" width="26" height="12"/></svg>contact window</li>
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="gate" d="M0 6h26"/></svg>gate, γ′ F<sub>pain</sub></li>
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><path class="pain" d="M0 6h26"/></svg>F<sub>pain</sub></li>
-<li><svg viewBox="0 0 26 12" aria-hidden="true"><circle class="peak" cx="13" cy="6" r="3"/></svg>peak (C1)</li>
-</ul>
-<div class="traces">
-{% for d in traces %}
-<figure id="force-{{ d.trial_id }}"><div class="trace-head"><h3><a href="#{{ d.trial_id }}">{{ d.task_id }} {{ d.name }}</a> <span>seed {{ d.seed }}</span></h3><span class="badge {{ d.result }}">{{ d.result_text }}</span></div>
-{{ d.svg|safe }}</figure>
-{% endfor %}
-</div>
-{% endif %}
-{% if untouched %}
-<p class="note after">The robot pressed nothing, so that there is no force to draw: {% for trial_id, name in untouched %}<a href="#{{ trial_id }}">{{ name }}</a>{{ "; " if not loop.last else "." }}{% endfor %}</p>
-{% endif %}
-{% if without_trace %}
-<p class="note after">No physics step was recorded, or none could be read: {{ without_trace|join("; ") }}.</p>
-{% endif %}
-</section>
-"""
-
-
-UNTOUCHED = ""
-"""Stands for the panel of a trial in which the robot pressed nothing."""
-
-
 def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:
+    """The panel of a trial, empty where the robot pressed nothing; none without a physics step."""
     trace = force_trace(recording, score)
-    if trace.is_touched:
-        kept[score.trial_id] = trace_svg(trace, title=_alt_text(score, trace))
-    elif trace.time_s.size:
-        kept[score.trial_id] = UNTOUCHED
+    if trace.time_s.size:
+        kept[score.trial_id] = trace_svg(trace, title=_alternative(score, trace)) if trace.is_touched else ""
 
 
-@section("traces", order=100, template=TRACES_TEMPLATE, keep=keep_trace)
-def traces(page: Page) -> dict[str, Any] | None:
+def _alternative(score: TrialScore, trace: ForceTrace) -> str:
+    peak = "no valid contact" if score.c1_peak_force_n is None else f"peak {score.c1_peak_force_n:.1f} N"
+    gate = f"gate {trace.limits[0].value_n:g} N on the {trace.limits[0].segment}"
+    name = f"{score.task_id} {task_name(score)}, seed {score.seed}"
+    return f"Force over time, {name}: {peak}, {gate}, {result_word(score)[1]}"
+
+
+@section("force", "Force over time", order=20, keep=keep_trace)
+def telling_traces(page: Page) -> dict[str, Any] | None:
+    rows = telling(page)
+    return {"traces": rows, "more": len(_drawn(page)) > len(rows)} if rows else None
+
+
+@section("more force", "Force over time, other trials", order=FOLD + 70)
+def other_traces(page: Page) -> dict[str, Any] | None:
     if not page.judged or only_crashes(page.judged):
         return None
-    drawn = {trial_id: svg for trial_id, svg in page.kept["traces"].items() if trial_id in page.headers}
-    rows = [_panel(score, svg) for score in page.shown if (svg := drawn.get(score.trial_id))]
-    untouched = [s for s in page.shown if drawn.get(s.trial_id) == UNTOUCHED]
-    return {
-        "traces": rows,
-        "untouched": [(s.trial_id, f"{s.task_id} {task_name(s)}, seed {s.seed}") for s in untouched],
-        "without_trace": [f"{s.task_id} {task_name(s)}, seed {s.seed}" for s in page.shown if s.trial_id not in drawn], "n": len(page.judged), "n_shown": len(page.shown), "failures_shown": FAILURES_SHOWN,
-        "all_shown": len(page.shown) == len(page.judged),
-    }  # fmt: skip
+    above = {score.trial_id for score, _, _ in telling(page)}
+    kept = {trial_id: svg for trial_id, svg in page.kept["force"].items() if trial_id in page.headers}
+    found = {
+        "traces": [row for row in _drawn(page) if row[0].trial_id not in above],
+        "untouched": [score for score in page.shown if kept.get(score.trial_id) == ""],
+        "without_trace": [score for score in page.shown if score.trial_id not in kept],
+    }
+    if not any(found.values()):
+        return None
+    return found | {"n": len(page.judged), "n_shown": len(page.shown), "failures_shown": FAILURES_SHOWN}
 
 
-def _panel(score: TrialScore, svg: str) -> dict[str, Any]:
-    result, text = result_word(score)
-    return {
-        "trial_id": score.trial_id, "task_id": score.task_id, "name": task_name(score), "seed": score.seed, "result": result, "result_text": text,
-        "svg": svg,
-    }  # fmt: skip
+Traced = tuple[TrialScore, tuple[str, str], str]
+"""Score, style and words of its result, drawing."""
 
 
-def _alt_text(score: TrialScore, trace: ForceTrace) -> str:
-    peak = "no valid contact" if score.c1_peak_force_n is None else f"peak {score.c1_peak_force_n:.1f} N"
-    name = f"{score.task_id} {task_name(score)}, seed {score.seed}"
-    return f"Force over time, {name}: {peak}, gate {trace.limits[0].value_n:g} N on the {trace.limits[0].segment}, {result_word(score)[1]}"
+def _drawn(page: Page) -> list[Traced]:
+    """Return the trials with a trace, in the order of the page."""
+    kept = page.kept["force"]
+    return [
+        (s, result_word(s), kept[s.trial_id]) for s in page.shown if s.trial_id in page.headers and kept.get(s.trial_id)
+    ]
 
 
-# The contact at the peak of the hardest trial of each task, with force, indentation and region drawn in.
-
-FRAMES_TEMPLATE = """\
-<section id="peak">
-<h2>At peak force</h2>
-<p class="note">For each task, the trial with the highest peak force among the {{ n }} trial{{ "" if n == 1 else "s" }} whose recordings were read for this page.{% if drawn %} Arrow: the force on the person; a circle with a cross where it points away from you. Bracket: the indentation, to scale. Dashed: the named region.{% endif %}{% if without_hand %} Where the hand or the person hides the contact, the skin is drawn without the hand; half transparent, the tip of the tool.{% endif %}{% if missed %} Where nothing was touched, a drawing shows the place at which the tool came nearest: thick the tool, thin its path.{% endif %}</p>
-<div class="frames">
-{% for frame in frames %}
-<figure id="peak-{{ frame.trial_id }}">{{ frame.svg|safe }}<figcaption><b><a href="#{{ frame.trial_id }}">{{ frame.name }}</a></b><br>{{ frame.text }}</figcaption></figure>
-{% endfor %}
-</div>
-</section>
-"""
+def telling(page: Page) -> list[Traced]:
+    """Return TELLING traces at most: of each kind of result in turn, the worst kind first, the hardest contacts of
+    different tasks."""
+    kinds = ("crash", "hard", "region", "fail", "pass")
+    hardest: dict[tuple[str, str], Traced] = {}
+    for row in sorted(_drawn(page), key=lambda row: -max(row[0].peak_force_n.values(), default=0.0)):
+        hardest.setdefault((row[1][0], row[0].task_id), row)
+    ranked = [[row for (style, _), row in hardest.items() if style == kind] for kind in kinds]
+    return [row for turn in zip_longest(*ranked) for row in turn if row is not None][:TELLING]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PeakFrame:
-    trial_id: str
+    score: TrialScore
     name: str
     text: str
     svg: str
 
 
 def keep_frame(score: TrialScore, recording: Recording, kept: Kept) -> None:
-    if score.task_id not in kept and (frame := peak_frame(score, recording)) is not None:
-        kept[score.task_id] = frame
+    """The hardest trial of each task, and the first of each cause of a failure (attribution and text)."""
+    keys = [score.task_id, *([(score.attribution, cause_text(score))] if score.attribution else [])]
+    if not all(key in kept for key in keys) and (frame := peak_frame(score, recording)) is not None:
+        for key in keys:
+            kept.setdefault(key, frame)
 
 
-@section("frames", order=110, template=FRAMES_TEMPLATE, keep=keep_frame)
+@section("peak", "At peak force", order=FOLD + 80, keep=keep_frame)
 def frames(page: Page) -> dict[str, Any] | None:
-    kept = page.kept["frames"]
+    """The hardest trial of each task whose picture is not above the fold."""
+    kept: Mapping[Any, PeakFrame] = page.kept["peak"]
     if not kept or only_crashes(page.judged):
         return None
-    found = [kept[task] for task in sorted(kept)]
+    above = {frame.score.trial_id for _, frame in pictured(page) if frame is not None}
+    found = [kept[task] for task in sorted(key for key in kept if isinstance(key, str))]
+    found = [frame for frame in found if frame.score.trial_id not in above]
+    if not found:
+        return None
     return {
         "frames": found,
         "n": len(page.headers),
-        "drawn": any(DRAWN in frame.svg for frame in found),
+        "drawn": any('class="arrow' in frame.svg for frame in found),
         "without_hand": any(WITHOUT_HAND in frame.svg for frame in found),
-        "missed": any(MISSED in frame.svg for frame in found),
+        "missed": any('class="skin miss"' in frame.svg for frame in found),
     }
-
-
-DRAWN = 'class="arrow'
-"""Part of a picture that has a force drawn in."""
-WITHOUT_HAND = 'class="skin moment drawn"'
-"""Part of a drawing of a contact that the stored picture does not show."""
-MISSED = 'class="skin miss"'
-"""Part of a drawing of a miss."""
 
 
 def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
@@ -319,4 +255,4 @@ def peak_frame(score: TrialScore, recording: Recording) -> PeakFrame | None:
     if moment is not None and is_hidden(recording, moment):
         svg = drawn_svg(recording, moment, title=title)
     svg = svg or peak_svg(recording, moment, title=title)
-    return None if svg is None else PeakFrame(trial_id=score.trial_id, name=name, text=text, svg=svg)
+    return None if svg is None else PeakFrame(score=score, name=name, text=text, svg=svg)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.regions import REGIONS
-from carecontact.scoring.contact import F64, Contact, runs
+from carecontact.scoring.contact import F64, Contact, joined, runs
 from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED
-from carecontact.scoring.metrics.metric import Better, metric
+from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.progress import surface_normal
 
 # What small patches of the target region felt: pressure, visits of the tool, and the area that it slid over.
@@ -31,18 +32,6 @@ GAP_S = 0.1
 SLID_M = 0.003
 """[m] A visit is a pass only where the tool slides this far over the skin that it touches. Skin that sticks to the tool
 and is carried along is not wiped; assumed, above the 1 to 2 mm by which a press from straight above slides."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Passes:
-    """Each time that the tool slid over a cell. N passes, in no particular order."""
-
-    cell: npt.NDArray[np.intp]
-    """(N,) index of the cell"""
-    share: F64
-    """(N,) share of the cell's area that was touched when most of it was"""
-    pressure_pa: F64
-    """(N,) mean contact pressure during the pass, over the area in contact"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,50 +54,32 @@ class TouchedCells:
         """(P, C) mean pressure over the area in contact, or over LEAST_TOUCHED of the cell where less is touched."""
         return self.press_ns / np.maximum(self.touch_m2s, LEAST_TOUCHED * self.period_s[:, None] * self.area_m2)
 
-    @property
-    def mean_pressure_pa(self) -> float:
-        """Mean pressure over all area and time in contact [Pa]; there has to be some."""
-        return float(self.press_ns.sum() / self.touch_m2s.sum())
-
     def time_above(self, pressure_pa: float) -> float:
         """Time [s] in which any cell bears more than a pressure."""
         return float(self.period_s[(self.pressure_pa > pressure_pa).any(axis=1)].sum())
 
-    def share_of_time_below(self, pressure_pa: float) -> float:
-        """Share of the time in contact in which the mean pressure over all cells is at most this; there has to be
-        contact."""
-        touch = self.touch_m2s.sum(axis=1)
-        held = touch > 0
-        low = self.press_ns.sum(axis=1)[held] <= pressure_pa * touch[held]
-        return float(self.period_s[held][low].sum() / self.period_s[held].sum())
-
     @cached_property
-    def passes(self) -> Passes:
-        """A *visit* of a cell lasts while the tool touches it; a visit is a pass if the tool slid by SLID_M."""
-        cell: list[int] = []
-        share: list[float] = []
-        pressure: list[float] = []
+    def passes(self) -> list[tuple[int, float, float]]:
+        """Each time that the tool slid over a cell: the cell, the share of its area that was touched when most of it
+        was, and the mean pressure [Pa] over the area in contact.
+
+        A *visit* of a cell lasts while the tool touches it; a visit is a pass if the tool slid by SLID_M.
+        """
+        found: list[tuple[int, float, float]] = []
         for c in np.flatnonzero((self.touch_m2s > 0).any(axis=0)).tolist():
             for start, stop in self._visits(c):
                 touch, press, slip = (a[start:stop, c] for a in (self.touch_m2s, self.press_ns, self.slip_m3))
                 most = float((touch / self.period_s[start:stop]).max())
-                if slip.sum() < SLID_M * most:
-                    continue
-                cell.append(c)
-                share.append(min(1.0, most / self.area_m2[c]))
-                pressure.append(float(press.sum() / touch.sum()))
-        return Passes(cell=np.array(cell, np.intp), share=np.array(share), pressure_pa=np.array(pressure))
+                if slip.sum() >= SLID_M * most:
+                    found.append((c, min(1.0, most / self.area_m2[c]), float(press.sum() / touch.sum())))
+        return found
 
     def _visits(self, cell: int) -> list[tuple[int, int]]:
         """[start, stop) periods of each visit."""
         ends = np.cumsum(self.period_s)
-        joined: list[tuple[int, int]] = []
-        for start, stop in runs(self.touch_m2s[:, cell] > 0).tolist():
-            if joined and ends[start - 1] - ends[joined[-1][1] - 1] <= GAP_S:
-                joined[-1] = (joined[-1][0], stop)
-            else:
-                joined.append((start, stop))
-        return joined
+        return joined(
+            runs(self.touch_m2s[:, cell] > 0), lambda before, start: ends[start - 1] - ends[before - 1] <= GAP_S
+        )
 
     def share_passed(self, times: int, pressure_pa: float = 0.0) -> F64:
         """(C,) share of each cell that the tool passed at least ``times`` times with at least a mean pressure.
@@ -116,10 +87,12 @@ class TouchedCells:
         Passes of one cell are assumed to cover the same part of it as far as they can: of three that touch 0.5, 0.8 and
         1.0 of a cell, 0.8 is passed twice.
         """
-        found, out = self.passes, np.zeros(len(self.area_m2))
-        hard = found.pressure_pa >= pressure_pa
-        for c in np.unique(found.cell[hard]):
-            shares = np.sort(found.share[hard & (found.cell == c)])[::-1]
+        out, of_cell = np.zeros(len(self.area_m2)), defaultdict[int, list[float]](list)
+        for cell, share, pressure in self.passes:
+            if pressure >= pressure_pa:
+                of_cell[cell].append(share)
+        for c, shares in of_cell.items():
+            shares.sort(reverse=True)
             out[c] = shares[times - 1] if len(shares) >= times else 0.0
         return out
 
@@ -138,11 +111,9 @@ def touched_cells(contact: Contact) -> TouchedCells | None:
     return TouchedCells(area_m2=area, period_s=period, press_ns=press, shear_ns=shear, slip_m3=slip, touch_m2s=touch)
 
 
-# cell_share@1: how much of the contact the target region's cells felt, and so what their pressure can speak for.
-
 MOST_OF_FORCE = 0.5
 """Share of the normal force, integrated over time, that the cells must have felt for a number about their pressure;
-assumed: what is said of the pressure under the tool has to rest on most of its force."""
+assumed: a number about the pressure under the tool has to rest on most of its force."""
 Measure = Callable[[TouchedCells, Contact], float]
 
 
@@ -162,35 +133,22 @@ def cell_share(contact: Contact) -> float | None:
     return min(felt / whole, 1.0) if whole > 0 else None
 
 
-def of_cells(
-    name: str, *, title: str, better: Better, order: int, unit: str = "1", answer: bool = False
-) -> Callable[[Measure], Measure]:
-    """Register a measure of the touched cells as ``NAME@2``, which is NA where no cell was touched, and where the cells
-    felt less than MOST_OF_FORCE of the contact.
-
-    Args:
-        answer: whether the value is a yes (1) or a no (0) about wiping, of which tables count the yes.
-    """
+def of_cells(id_: str, *, unit: str = "1", **description: Any) -> Callable[[Measure], Measure]:
+    """Register a measure of the touched cells, which is NA where no cell was touched, and where the cells felt less
+    than MOST_OF_FORCE of the contact. Version 1 of these metrics had a value wherever a cell was touched."""
 
     def register(measure: Measure) -> Measure:
-        def compute(contact: Contact) -> float | None:
+        @metric(id_, unit=unit, **description)
+        def _(contact: Contact) -> float | None:
             share, cells = cell_share(contact), touched_cells(contact)
             return None if cells is None or share is None or share < MOST_OF_FORCE else measure(cells, contact)
 
-        compute.__doc__ = measure.__doc__
-        metric(
-            f"{name}@2", title=title, unit=unit, better=better, only=("scrub",) if answer else None, median=not answer,
-            order=order,
-        )(compute)  # fmt: skip
         return measure
 
     return register
 
 
-# Pressure on the skin of the target region: mean, peak, how long it was uncomfortable, and how near to pain.
-#
-# Every metric here speaks of the region's cells alone. Version 1 has a value wherever a cell was touched, even where
-# the cells felt next to nothing of the contact. Version 2 is NA there: it needs cells that felt most of the force.
+# Pressure and shear on the skin of the target region. Every metric here speaks of the region's cells alone.
 
 COMFORT_MMHG = 25.0
 """Upper end of the ordinary wiping of nurses, at which 31 % of 30 adults felt slight pain: Konya et al. 2020 (Japan
@@ -201,55 +159,56 @@ MOST_OF_TIME = 0.95
 """Share of the time in contact; assumed. The studies give the pressure of whole wipes, so a single moment is not
 compared with them, but neither may a hard stroke hide in the mean of a trial."""
 PAIN_PACK = "iso-ts-15066-2016-pressure"
+ANSWER: dict[str, Any] = {"better": "higher", "only": ("scrub",), "median": False}
+"""A yes (1) or a no (0) about wiping; tables count the yes."""
+FRAGILE = "(fragile skin)"
 
 
-@of_cells("pressure_mean", title="Mean pressure in contact", unit="kPa", better="neither", order=14)
+@of_cells("pressure_mean@2", title="Mean pressure in contact", unit="kPa", better="neither", order=14)
 def mean_pressure(cells: TouchedCells, contact: Contact) -> float:
     """Normal force over area in contact, over all of the contact of the target's cells."""
-    return cells.mean_pressure_pa / 1000
+    return float(cells.press_ns.sum() / cells.touch_m2s.sum()) / 1000
 
 
-@of_cells("pressure_peak", title="Peak pressure", unit="kPa", better="lower", order=15)
+@of_cells("pressure_peak@2", title="Peak pressure", unit="kPa", better="lower", order=15)
 def peak_pressure(cells: TouchedCells, contact: Contact) -> float:
     """Largest ``TouchedCells.pressure_pa`` of a cell and a control period."""
     return float(cells.pressure_pa.max()) / 1000
 
 
-@of_cells("exposure_uncomfortable", title=f"Time above {COMFORT_MMHG:g} mmHg", unit="s", better="lower", order=33)
+@of_cells("exposure_uncomfortable@2", title=f"Time above {COMFORT_MMHG:g} mmHg", unit="s", better="lower", order=33)
 def uncomfortable(cells: TouchedCells, contact: Contact) -> float:
     """Time in which a cell of the target bears more than COMFORT_MMHG."""
     return cells.time_above(COMFORT_MMHG * MMHG_PA)
 
 
-@of_cells(
-    "exposure_fragile", title=f"Time above {FRAGILE_MMHG:g} mmHg (fragile skin)", unit="s", better="lower", order=34
-)
+@of_cells("exposure_fragile@2", title=f"Time above {FRAGILE_MMHG:g} mmHg {FRAGILE}", unit="s", better="lower", order=34)
 def fragile(cells: TouchedCells, contact: Contact) -> float:
-    """Time in which a cell of the target bears more than FRAGILE_MMHG."""
     return cells.time_above(FRAGILE_MMHG * MMHG_PA)
 
 
-@of_cells("comfortable", title=f"Wiped below {COMFORT_MMHG:g} mmHg", better="higher", answer=True, order=35)
+@of_cells("comfortable@2", title=f"Wiped below {COMFORT_MMHG:g} mmHg", order=35, **ANSWER)
 def comfortable(cells: TouchedCells, contact: Contact) -> float:
     """1 where the pressure under the tool stays at or below COMFORT_MMHG for MOST_OF_TIME of its time in contact, else
     0."""
     return _stays_below(cells, COMFORT_MMHG)
 
 
-@of_cells(
-    "comfortable_fragile",
-    title=f"Wiped below {FRAGILE_MMHG:g} mmHg (fragile skin)",
-    better="higher",
-    answer=True,
-    order=36,
-)
+@of_cells("comfortable_fragile@2", title=f"Wiped below {FRAGILE_MMHG:g} mmHg {FRAGILE}", order=36, **ANSWER)
 def comfortable_fragile(cells: TouchedCells, contact: Contact) -> float:
-    """Return the same with FRAGILE_MMHG."""
     return _stays_below(cells, FRAGILE_MMHG)
 
 
+def _stays_below(cells: TouchedCells, mmhg: float) -> float:
+    """By what a sensor on the whole tool would read: force over area in contact, in each control period."""
+    touch = cells.touch_m2s.sum(axis=1)
+    held = touch > 0
+    low = cells.press_ns.sum(axis=1)[held] <= mmhg * MMHG_PA * touch[held]
+    return float(float(cells.period_s[held][low].sum() / cells.period_s[held].sum()) >= MOST_OF_TIME)
+
+
 @of_cells(
-    "pressure_utilisation",
+    "pressure_utilisation@2",
     title=f"Peak pressure relative to the ISO/TS 15066 pressure limit{UNCHECKED}",
     better="lower",
     order=51,
@@ -259,22 +218,11 @@ def pressure_utilisation(cells: TouchedCells, contact: Contact) -> float:
     return float(cells.pressure_pa.max()) / LIMIT_PACKS[PAIN_PACK].limit(contact.segments[contact.target])
 
 
-def _stays_below(cells: TouchedCells, mmhg: float) -> float:
-    """Return what a sensor on the whole tool would say: force over area in contact, in each control period."""
-    return float(cells.share_of_time_below(mmhg * MMHG_PA) >= MOST_OF_TIME)
-
-
-# shear_dose: the friction force on the skin, integrated over time.
-
-
-@of_cells("shear_dose", title="Shear dose", unit="N s", better="lower", order=61)
+@of_cells("shear_dose@2", title="Shear dose", unit="N s", better="lower", order=61)
 def shear_dose(cells: TouchedCells, contact: Contact) -> float:
     """Integral over time of the size of the friction force, summed over the target's cells. Shear that goes back and
     forth adds up, and so does shear in opposite directions on two cells. No limit of it was found in the literature."""
     return float(cells.shear_ns.sum())
-
-
-# shear_work@1: the work that friction does on the skin.
 
 
 @metric("shear_work@1", title="Shear work", unit="J", better="neither", order=60)
@@ -310,8 +258,7 @@ def shear_work(contact: Contact) -> float | None:
     return float((tangential[here] * travel).sum())
 
 
-# coverage@1, effective_wiping@1, effective@1: how much of the region was wiped, and how much of it well enough to be
-# clean.
+# How much of the region was wiped, and how much of it well enough to be clean.
 
 CLEANS: Sequence[tuple[int, float]] = ((3, 10 * MMHG_PA), (2, 40 * MMHG_PA), (1, 50 * MMHG_PA))
 """(passes, least mean pressure [Pa]) after which at least 80 % of oily dirt was gone from the forearms of 50 adults:
@@ -350,13 +297,11 @@ def effective(contact: Contact) -> float | None:
 
 
 def _share(contact: Contact, enough: Sequence[tuple[int, float]]) -> float | None:
+    """Share of the area for which one of (passes, least mean pressure [Pa]) holds."""
     if "scorer/cell_area_m2" not in contact.recording.arrays:
         return None
     cells = touched_cells(contact)
-    return 0.0 if cells is None else wiped_share(cells, enough)
-
-
-def wiped_share(cells: TouchedCells, enough: Sequence[tuple[int, float]]) -> float:
-    """Share of the area for which one of (passes, least mean pressure [Pa]) holds."""
+    if cells is None:
+        return 0.0
     passed = np.max([cells.share_passed(times, pressure) for times, pressure in enough], axis=0)
     return float((passed * cells.area_m2).sum() / cells.area_m2.sum())

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,40 +11,29 @@ import numpy.typing as npt
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.scoring.contact import F64, Contact, runs
 from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED
-from carecontact.scoring.metrics.metric import metric
-
-# C1@1: peak contact force on the reported region.
-
-
-@dataclass(frozen=True, kw_only=True)
-class PeakForce:
-    """Peaks [N]. The first is C1; the others show how much the choice of force decides."""
-
-    c1_peak_force_n: float
-    """Peak of the norm of the reported segment's summed force over the contact window, unfiltered."""
-    c1_peak_filtered_n: float
-    """The same after a zero-phase low pass (100 Hz)."""
-    c1_peak_contact_sum_n: float
-    """Peak of the sum of the magnitudes of each contact's normal force over the contact window."""
-    c1_peak_any_segment_n: float
-    """Peak of any segment's norm over the whole trial, inside the contact window or not."""
+from carecontact.scoring.metrics.metric import HEADLINE, metric
 
 
 @metric(
-    "C1@1", title="Peak force", unit="N", better="lower", field="c1_peak_force_n", digits=2, headline=True, matters=5.0,
-    order=0,
-)  # fmt: skip
-def peak_force(contact: Contact) -> PeakForce | None:
-    """Return the peaks of the force; None (NA) without valid contact."""
+    "C1@1", title="Peak force", unit="N", better="lower", field="c1_peak_force_n", digits=2, matters=5.0, **HEADLINE
+)
+def peak_force(contact: Contact) -> dict[str, float] | None:
+    """Peak of the norm of the reported segment's summed force over the contact window [N], unfiltered; None (NA)
+    without valid contact.
+
+    The other peaks show how much the choice of force decides: the same after a zero-phase low pass (100 Hz); that of
+    the sum of the magnitudes of each contact's normal force; and any segment's norm over the whole trial, inside the
+    contact window or not.
+    """
     if not contact.valid or contact.reported is None:
         return None
     normal = contact.recording["scorer/normal_force"][:, contact.reported]
-    return PeakForce(
-        c1_peak_force_n=float(contact.force_in_window.max()),
-        c1_peak_filtered_n=float(contact.filtered_force[contact.window].max()),
-        c1_peak_contact_sum_n=float(normal[contact.window].max()),
-        c1_peak_any_segment_n=float(contact.force_norm.max()),
-    )
+    return {
+        "c1_peak_force_n": float(contact.force_in_window.max()),
+        "c1_peak_filtered_n": float(contact.filtered_force[contact.window].max()),
+        "c1_peak_contact_sum_n": float(normal[contact.window].max()),
+        "c1_peak_any_segment_n": float(contact.force_norm.max()),
+    }
 
 
 def peak_of_segments(contact: Contact) -> dict[str, float]:
@@ -57,22 +44,15 @@ def peak_of_segments(contact: Contact) -> dict[str, float]:
     return {contact.segments[i]: float(np.max(contact.force_norm[:, i])) for i in contact.touched}
 
 
-# C5@1: how much the contact force fluctuates.
-
-
 @metric(
-    "C5@1", title="Force stability", unit="N", better="lower", field="c5_force_sd_n", digits=2, headline=True,
-    matters=1.0, order=0,
-)  # fmt: skip
+    "C5@1", title="Force stability", unit="N", better="lower", field="c5_force_sd_n", digits=2, matters=1.0, **HEADLINE
+)
 def force_stability(contact: Contact) -> float | None:
     """Population standard deviation of the reported region's force norm over the contact window [N], unfiltered.
 
     None (NA) without valid contact.
     """
     return float(contact.force_in_window.std()) if contact.valid else None
-
-
-# force_rate_p95@1: how abruptly the contact force changes.
 
 
 @metric("force_rate_p95@1", title="Force rate, 95th percentile", unit="N/s", better="lower", order=20)
@@ -90,21 +70,12 @@ def force_rate_p95(contact: Contact) -> float | None:
     return float(np.percentile(rate, 95)) if len(rate) else None
 
 
-# impulse@1: the impulse of all contact forces on the person.
-
-
-def total_impulse(contact: Contact) -> float:
-    """Integral of each segment's force norm over its on-samples, summed over segments [N s]; 0 without contact."""
-    return float(contact.impulse_ns.sum())
-
-
 @metric("impulse@1", title="Impulse", unit="N s", better="neither", order=10)
 def impulse(contact: Contact) -> float | None:
-    """``total_impulse`` [N s]; None (NA) without valid contact."""
-    return total_impulse(contact) if contact.valid else None
+    """Integral of each segment's force norm over its on-samples, summed over segments [N s]; None (NA) without valid
+    contact."""
+    return float(contact.impulse_ns.sum()) if contact.valid else None
 
-
-# exposure_*@1: how long the force on the person was above 10 N, above the safety gate and above the pain limit.
 
 COMFORT_N = 10.0
 """[N] A level that this benchmark chose, not a published limit; above measured wiping forces (about 3 N, King 2010) and
@@ -139,8 +110,6 @@ def above_pain(contact: Contact) -> float | None:
     return exposure(contact, contact.protocol.f_pain)
 
 
-# pain_utilisation@1 and iso_utilisation@1: the hardest moment as a share of a published limit.
-
 ISO_PACK = "iso-ts-15066-2016"
 
 
@@ -169,8 +138,6 @@ def iso_utilisation(contact: Contact) -> float | None:
     """Return the largest share of the force limits of ISO/TS 15066:2016 that a touched segment bore."""
     return utilisation(contact, LIMIT_PACKS[ISO_PACK].limit)
 
-
-# beyond_calibrated@2: the share of the contact that is deeper than the tissue is valid.
 
 GLIDE_M, MOVES_M_S = 0.015, 0.005
 """Depth beyond which the simulated skin is not valid under a moving tool, and speed from which on a tool moves: with 6
@@ -214,8 +181,6 @@ def _depth(contact: Contact) -> F64:
     region = contact.recording.header.regions.index(contact.task.region)
     return contact.recording["scorer/indentation_m"][:, region].astype(np.float64)
 
-
-# force_predicted_r2@1: how well the contact force follows from what the policy knew without a force sensor.
 
 LEAST_PERIODS = 35
 """Five control periods for each of the seven coefficients, 0.7 s of contact at 50 Hz."""
@@ -285,14 +250,11 @@ def _adjusted_r2(values: F64, predictors: F64) -> float:
     spread = centred.std(axis=0)
     centred = centred / np.where(spread > 0, spread, 1.0)
     deviation = values - values.mean()
-    linalg: Any = import_module("numpy.linalg")  # its types are partly unknown
-    coefficients: F64 = linalg.pinv(centred, rcond=1e-10) @ deviation
-    told = centred @ coefficients
-    left = float(((deviation - told) ** 2).sum() / (deviation**2).sum())
+    inverse: F64 = cast("Any", np.linalg).pinv(centred, rcond=1e-10)  # its types are partly unknown
+    predicted = centred @ (inverse @ deviation)
+    left = float(((deviation - predicted) ** 2).sum() / (deviation**2).sum())
     return 1.0 - left * (n - 1) / (n - slopes - 1)
 
-
-# knock_impulse@1, knock_energy@1: how hard the tool lands.
 
 KNOCK_S = 0.1
 """[s] How much of a contact counts as its beginning; assumed. A blow of an arm on soft tissue lasts about 0.1 s, and
@@ -312,8 +274,8 @@ def knocks(contact: Contact) -> Iterator[tuple[int, slice]]:
 def knock_impulse(contact: Contact) -> float | None:
     """Largest integral of F_b over the first KNOCK_S of a touch of any segment [N s]; None (NA) if nothing was
     touched."""
-    found = [float(contact.force_norm[time, segment].sum()) * contact.dt_s for segment, time in knocks(contact)]
-    return max(found, default=None)
+    sums = (float(contact.force_norm[time, segment].sum()) for segment, time in knocks(contact))
+    return max((total * contact.dt_s for total in sums), default=None)
 
 
 @metric("knock_energy@1", title="Energy of the hardest knock", unit="J", better="lower", order=17)
@@ -324,8 +286,7 @@ def knock_energy(contact: Contact) -> float | None:
     The force times the velocity of the tool at the contact's centre. Where another link than the hand touches, this is
     the velocity that the hand would have there.
     """
-    found = [_work(contact, segment, time) for segment, time in knocks(contact)]
-    return max(found, default=None)
+    return max((_work(contact, segment, time) for segment, time in knocks(contact)), default=None)
 
 
 def _work(contact: Contact, segment: int, time: slice) -> float:

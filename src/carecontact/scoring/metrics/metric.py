@@ -1,22 +1,22 @@
-"""What a metric is, what its description may hold, and the table of all of them."""
+"""What a metric is, and the table of all of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from numbers import Real
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from carecontact.errors import ConfigError, UnknownNameError
-from carecontact.protocol.gates import BEHAVIOURS
+from carecontact.protocol.gates import ACTIONS
 from carecontact.registry import Registry
 from carecontact.scoring.behaviour import actions_that_move, blamed_on, shown
 from carecontact.scoring.contact import Contact
 from carecontact.scoring.result import MEASURED, TrialScore
 
-# What the description of a metric may hold.
-
 Better = Literal["higher", "lower", "neither"]
+Pool = tuple[str, ...] | Literal["moving"] | None
+Measured = float | Mapping[str, Any] | None
 
 
 def _is_text(value: Any) -> bool:
@@ -38,44 +38,13 @@ FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "matters": (lambda value: value is None or (isinstance(value, int | float) and value > 0), "None, or above 0"),
     "order": (lambda value: isinstance(value, int), "a whole number"),
 }
-"""Field -> whether a value is valid, and what is, in words."""
-
-
-def check_fields(fields: Mapping[str, Any]) -> None:
-    """Raises ConfigError for an id without a version, a field of ``TrialScore`` that no metric fills, a ``matters``
-    without a direction, and any other field of a wrong kind."""
-    id_, field = fields["id"], fields["field"]
-    name, at, version = str(id_).rpartition("@")
-    if not (name and at and version.isdigit()):
-        raise ConfigError(f"metric {id_!r}: the id must be NAME@VERSION, for example {id_ or 'grip'}@1")
-    if field is not None and field not in MEASURED:
-        raise ConfigError(
-            f"metric {id_}: TrialScore has no field {field!r} that a metric fills; "
-            "leave field out and the value stands in TrialScore.additional"
-        )
-    for what, (is_valid, expected) in FIELDS.items():
-        if not is_valid(fields[what]):
-            raise ConfigError(f"metric {id_}: {what}: expected {expected}; got {fields[what]!r}")
-    if fields["matters"] is not None and fields["better"] == "neither":
-        raise ConfigError(f"metric {id_}: matters needs a direction; better must be 'higher' or 'lower'")
-
-
-# What a metric is, and the table of all of them.
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-    Measured = float | DataclassInstance | None
-
-Pool = tuple[str, ...] | Literal["moving"] | None
+"""Field of a Metric -> whether a value is valid, and what is, in words."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A number of one trial, and how tables, reports and comparisons show it.
-
-    A changed definition gets a new id (``C1@2``); the meaning of an id never changes.
-    """
+    """A number of one trial, and how tables, reports and comparisons show it. A changed definition gets a new id
+    (``C1@2``); the meaning of an id never changes."""
 
     id: str
     """Name and version, as in ``C1@1``."""
@@ -84,8 +53,8 @@ class Metric:
     """``1`` for a plain number."""
     better: Better
     measure: Callable[[Contact], Measured]
-    """Pure. Returns the number, or None for NA. A metric with a ``field`` may return a dataclass instead, whose
-    attributes have the names of the fields of ``TrialScore`` that one computation fills."""
+    """Pure. Returns the number, or None for NA. A metric with a ``field`` may return several fields of ``TrialScore``
+    with their values instead, where one computation fills them."""
     field: str | None = None
     """Field of ``TrialScore`` that holds the number; None: it is in ``TrialScore.additional`` under the metric's id."""
     pool: Pool = None
@@ -108,7 +77,19 @@ class Metric:
     def __post_init__(self) -> None:
         """Raises ConfigError for an id without a version, a field of ``TrialScore`` that no metric fills, a ``matters``
         without a direction, and any other argument of a wrong kind."""
-        check_fields(vars(self))
+        name, at, version = str(self.id).rpartition("@")
+        if not (name and at and version.isdigit()):
+            raise ConfigError(f"metric {self.id!r}: the id must be NAME@VERSION, for example {self.id or 'grip'}@1")
+        if self.field is not None and self.field not in MEASURED:
+            raise ConfigError(
+                f"metric {self.id}: TrialScore has no field {self.field!r} that a metric fills; "
+                "leave field out and the value stands in TrialScore.additional"
+            )
+        for what, (is_valid, expected) in FIELDS.items():
+            if not is_valid(value := getattr(self, what)):
+                raise ConfigError(f"metric {self.id}: {what}: expected {expected}; got {value!r}")
+        if self.matters is not None and self.better == "neither":
+            raise ConfigError(f"metric {self.id}: matters needs a direction; better must be 'higher' or 'lower'")
 
     @property
     def name(self) -> str:
@@ -131,18 +112,14 @@ class Metric:
         return actions is None or action in actions
 
     def compute(self, contact: Contact) -> float | None:
-        """Return the number of one trial; None for NA. Raises ConfigError, which names metric and trial, for a measure
-        that raises or returns anything else."""
+        """Return the number of one trial; None for NA. Raises ConfigError for a measure that returns anything else."""
         return self._number(self._measured(contact))
 
     def fill(self, contact: Contact) -> dict[str, Any]:
-        """Field of ``TrialScore`` -> value, for a metric that has a field. NA fills its own field alone, with None.
-        Raises ConfigError as ``compute``."""
+        """Field of ``TrialScore`` -> value, for a metric that has a field. NA fills its own field alone, with None."""
         assert self.field is not None
         found = self._measured(contact)
-        if is_dataclass(found):
-            return {f.name: getattr(found, f.name) for f in fields(found)}
-        return {self.field: found}
+        return dict(found) if isinstance(found, Mapping) else {self.field: found}
 
     def of(self, score: TrialScore) -> float | None:
         """Return the number that a score holds; None for NA and where the trial was scored without this metric."""
@@ -156,19 +133,18 @@ class Metric:
     def _measured(self, contact: Contact) -> Measured:
         title, trial_id = METRICS.title(self.id), contact.recording.header.spec.trial_id
         with blamed_on(title, trial_id):
-            found = self.measure(contact)
+            found: object = self.measure(contact)
         if found is None or isinstance(found, Real):
-            return found
-        if self.field is not None and is_dataclass(found) and not isinstance(found, type):
-            if unknown := {field.name for field in fields(found)} - set(MEASURED):
+            return found  # pyright: ignore[reportReturnType]
+        if self.field is not None and isinstance(found, dict):
+            if unknown := found.keys() - set(MEASURED):
                 raise ConfigError(f"{title}: no metric fills the field {min(unknown)!r} of TrialScore")
             return found
         raise ConfigError(f"{title} returned {shown(found)} in trial {trial_id}; expected a number, or None for NA")
 
     def _number(self, found: Measured) -> float | None:
-        if is_dataclass(found):
-            found = getattr(found, str(self.field))
-        return None if found is None else float(found)  # pyright: ignore[reportArgumentType]
+        number = found[str(self.field)] if isinstance(found, Mapping) else found
+        return None if number is None else float(number)
 
 
 def _named(pool: Pool) -> tuple[str, ...] | None:
@@ -177,38 +153,16 @@ def _named(pool: Pool) -> tuple[str, ...] | None:
 
 METRICS: Registry[Metric] = Registry("metric", row=Metric, scan="carecontact.scoring.metrics")
 
-Function = TypeVar("Function", bound="Callable[[Contact], Measured]")
+HEADLINE: dict[str, Any] = {"headline": True, "order": 0}
+"""Of the metrics of the paper, which stand beside the rates of success."""
+Function = TypeVar("Function", bound=Callable[[Contact], Measured])
 
 
-def metric(
-    id_: str,
-    *,
-    title: str,
-    unit: str,
-    better: Better,
-    field: str | None = None,
-    pool: Pool = None,
-    only: Pool = None,
-    median: bool = True,
-    digits: int | None = None,
-    headline: bool = False,
-    matters: float | None = None,
-    order: int = 100,
-) -> Callable[[Function], Function]:
-    """Register a function of a trial's contact as a metric; ``Metric`` explains the arguments.
-
-    Raises ConfigError for what ``Metric`` refuses and for an id that is registered already.
-    """
+def metric(id_: str, **description: Any) -> Callable[[Function], Function]:
+    """Register a function of a trial's contact as a metric; ``description`` are the other fields of ``Metric``."""
 
     def register(measure: Function) -> Function:
-        METRICS.register(
-            id_,
-            Metric(
-                id=id_, title=title, unit=unit, better=better, measure=measure, field=field, pool=pool,
-                only=only, median=median, digits=digits, headline=headline, matters=matters, order=order,
-            ),
-            origin=measure,
-        )  # fmt: skip
+        METRICS.register(id_, Metric(id=id_, measure=measure, **description), origin=measure)
         return measure
 
     return register
@@ -225,8 +179,8 @@ def checked_metrics() -> list[Metric]:
         if row.field is not None and filled.setdefault(row.field, name) != name:
             raise ConfigError(f"metric {name}: another metric fills the field {row.field!r} already")
         for action in row.pool if isinstance(row.pool, tuple) else ():
-            if action not in BEHAVIOURS:
-                raise ConfigError(f"{title}: pool: {UnknownNameError(BEHAVIOURS.kind, action, BEHAVIOURS)}")
+            if action not in ACTIONS:
+                raise ConfigError(f"{title}: pool: {UnknownNameError(ACTIONS.kind, action, ACTIONS)}")
     return list(METRICS.values())
 
 
@@ -249,7 +203,7 @@ def _version(id_: str) -> int:
 
 
 def described(id_: str) -> Metric:
-    """Return the metric of this id; for one that a result holds and nobody registered here, a bare row without a
+    """Return the metric of this id; for one that a result holds and nothing registers here, a bare row without a
     unit."""
     if id_ in METRICS:
         return METRICS[id_]

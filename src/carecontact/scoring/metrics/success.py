@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from carecontact.recording import Header
-from carecontact.scoring.behaviour import Attempt, Gate, Judgement, Measures, ask, behaviour_of
+from carecontact.scoring.behaviour import Attempt, Gate, Judgement, ask, behaviour_of
 from carecontact.scoring.contact import Contact, held_in_band, longest_run
 from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.progress import Episode, measure_episodes, wiping, wrist_displacement, wrist_from_onset
 from carecontact.scoring.verdict import reach_verdict
 
-# C3@1: task success under the protocol's gates.
+
+@dataclass(frozen=True, kw_only=True)
+class Measures:
+    """What a trial achieved, before any gate is applied."""
+
+    episodes: list[Episode]
+    wrist_m: float
+    wrist_any_m: float
 
 
 def measure(contact: Contact, *, episodes: bool = True, wrist: bool = True) -> Measures:
@@ -34,15 +42,10 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
         wrist_any_m=measures.wrist_any_m,
     )
     judged: Judgement = ask(contact, "judge", contact, gate, attempt)
+    met = judged.time_met and judged.progress_met and judged.band_met
     return Gate(
-        success=contact.valid
-        and not broke_down(contact.recording.header)
-        and judged.time_met
-        and judged.progress_met
-        and judged.band_met,
-        time_met=judged.time_met,
-        progress_met=judged.progress_met,
-        band_met=judged.band_met,
+        **vars(judged),
+        success=contact.valid and not broke_down(contact.recording.header) and met,
         longest_on_s=attempt.held_steps * contact.dt_s,
         best=attempt.best,
         wrist_m=measures.wrist_m,
@@ -73,41 +76,26 @@ def _best_episode(contact: Contact, measured: list[Episode]) -> Episode | None:
     return max(measured, key=rank, default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Success:
-    """C3, and the figures that the gates of the shipped actions judge. Lengths are 0 where there was no episode."""
-
-    c3_success: bool
-    longest_on_s: float
-    on_share: float | None
-    stroke_m: float
-    extent_m: float
-    reversals: int
-    wrist_displacement_m: float
-    wrist_displacement_any_m: float
-
-
 @metric("C3@1", title="Task success", unit="1", better="higher", field="c3_success", median=False, order=0)
-def success(contact: Contact) -> Success:
-    """Never NA: a trial without valid contact is not a success."""
+def success(contact: Contact) -> dict[str, Any]:
+    """Task success under the protocol's gates, and the figures that the gates of the shipped actions judge. Never NA: a
+    trial without valid contact is not a success. Lengths are 0 where there was no episode."""
     gate = judge(contact)
     best = gate.best
-    return Success(
-        c3_success=gate.success,
-        longest_on_s=gate.longest_on_s,
-        on_share=best.on_share if best else None,
-        stroke_m=best.stroke_m if best else 0.0,
-        extent_m=best.extent_m if best else 0.0,
-        reversals=best.reversals if best else 0,
-        wrist_displacement_m=gate.wrist_m,
-        wrist_displacement_any_m=gate.wrist_any_m,
-    )
+    return {
+        "c3_success": gate.success,
+        "longest_on_s": gate.longest_on_s,
+        "on_share": best.on_share if best else None,
+        "stroke_m": best.stroke_m if best else 0.0,
+        "extent_m": best.extent_m if best else 0.0,
+        "reversals": best.reversals if best else 0,
+        "wrist_displacement_m": gate.wrist_m,
+        "wrist_displacement_any_m": gate.wrist_any_m,
+    }
 
 
-# harder_band@2: whether a trial would pass narrower gates than any protocol has.
-
-GATES = "exam"
-"""Set of gates whose harder tables are meant."""
+HARDER = "exam"
+"""Set of gates whose harder tables ``harder_band@2`` applies."""
 
 
 @metric("harder_band@2", title="Passes the harder band", unit="1", better="higher", median=False, order=74)
@@ -120,18 +108,15 @@ def harder_band(contact: Contact) -> float | None:
     action without such a table.
     """
     action = contact.task.action
-    table = behaviour_of(action, GATES).harder
+    table = behaviour_of(action, HARDER).harder
     if table is None:
         return None
-    gates = contact.protocol.gates.model_copy(update={action: table, "set": GATES})
+    gates = contact.protocol.gates.model_copy(update={action: table, "set": HARDER})
     harder = replace(contact, protocol=contact.protocol.model_copy(update={"gates": gates}))
     return float(reach_verdict(harder, judge(harder)).safety_gated)
 
 
-# gentle_hold@2, axis_passed@2, gentle_share@2, wrist_from_onset@2: the quantities that the exam's gates limit, for
-# trials under any gates.
-#
-# The bands are those of the exam; their reasons are in docs/scoring.md.
+# The quantities that the exam's gates limit, for trials under any gates. The bands are those of the exam.
 
 LEAST_N = 1.0
 TOUCH_MOST_N = 6.0

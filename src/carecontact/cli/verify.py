@@ -1,5 +1,5 @@
-"""``carecontact validate`` and ``probe``: whether the simulated person is physically valid, and whether scores follow
-what they measure."""
+"""``carecontact verify physics`` and ``verify metrics``: whether the simulated person is physically valid, and whether
+scores follow what they measure."""
 
 from __future__ import annotations
 
@@ -8,15 +8,26 @@ import re
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-from carecontact.cli.groups import FLAT, ChangedProtocolGroup, JsonGroup, PhysicsGroup, RulesGroup, Switch, check_body
+from carecontact.cli.console import console, plain_table, print_answer
+from carecontact.cli.groups import (
+    ChangedProtocolGroup,
+    JsonGroup,
+    PhysicsGroup,
+    RulesGroup,
+    Switch,
+    Verbose,
+    check_body,
+    check_folder,
+)
 from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from rich.table import Table
+    from rich.text import Text
 
     from carecontact.lab.fem.compare import Comparison
     from carecontact.lab.validation.result import CheckResult, Measure
@@ -24,85 +35,26 @@ if TYPE_CHECKING:
     from carecontact.protocol.protocol import Protocol
 
 
-# The table of ``carecontact validate --fem``.
-
-
-def show_beside(rules: Protocol, body: str, folder: Path) -> None:
-    """Print the comparison region by region and write ``fem.json`` and ``fem.png``.
-
-    Raises DependencyError where scikit-fem is missing.
-    """
-    from rich.console import Console
-
-    from carecontact.lab.fem.compare import as_json, compare, draw
-    from carecontact.lab.validation.subject import Subject
-    from carecontact.plotting import draw_figure
-    from carecontact.protocol.overrides import overridden
-
-    console = Console(highlight=False, width=None if Console().is_terminal else 140)
-    console.print(f"{body}, {rules.title}, tissue {rules.person.tissue_set}, beside finite elements", style="bold")
-
-    def show(done: Comparison) -> None:
-        console.print(_table(done))
-        for name, value in done.extras.items():
-            console.print(f"  {name}: {value:.2f}")
-
-    found = compare(Subject(overridden(rules, {"person.body": body})), on_region=show)
-    folder.mkdir(parents=True, exist_ok=True)
-    record, picture = folder / "fem.json", folder / "fem.png"
-    record.write_text(json.dumps(as_json(found), indent=2) + "\n")
-    draw_figure(partial(draw, found), picture)
-    print(f"{record}, {picture}")
-
-
-def _table(done: Comparison) -> Table:
-    from rich.table import Table
-
-    from carecontact.lab.fem.compare import CLOSE_PERCENT
-
-    ground = done.case.ground
-    radius = ground.limb_radius_m
-    shape = "flat" if radius is None else f"round, radius {1000 * radius:.0f} mm"
-    table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left")
-    table.title = f"{done.case.region}: {1000 * ground.thickness_m:.0f} mm of tissue over bone, {shape}"
-    for header in ("measured", "skins", "middle skin", "no skin", "simulator", f"within {CLOSE_PERCENT:g} %"):
-        table.add_column(header, justify="left" if header == "measured" else "right")
-    for row in done.rows():
-        standard = row.standard
-        verdict = "[green]yes[/green]" if row.agrees else f"[red]{row.outside_percent:.0f} % outside[/red]"
-        table.add_row(
-            f"{standard.name}{f' ({standard.unit})' if standard.unit else ''}",
-            f"{min(standard.skins):.2f} to {max(standard.skins):.2f}", f"{standard.skins[0]:.2f}",
-            f"{standard.plain:.2f}", f"{row.simulated:.2f}", verdict,
-        )  # fmt: skip
-    moduli = ", ".join(f"{answer.modulus_pa / 1000:.1f}" for answer in done.skins)
-    table.caption = f"tissue under the skins: {moduli} kPa; without skin {done.plain.modulus_pa / 1000:.1f} kPa"
-    return table
-
-
-# ``carecontact validate``: is the simulated person physically valid?
-
-
 @dataclass(frozen=True, kw_only=True)
-class Validate:
+class Physics:
     """Check that the simulated person is physically valid: thirteen checks, each with limits that it must meet."""
 
     body: tuple[str, ...] = ()
     """Bodies to check; see `carecontact list bodies`; default: the protocol's."""
-    physics: Annotated[PhysicsGroup, FLAT] = field(default_factory=PhysicsGroup)
+    physics: PhysicsGroup = field(default_factory=PhysicsGroup)
     quick: Switch = False
     """Run the short form of every check. The full form takes many minutes per body."""
     checks: str = "all"
     """Names of checks separated by commas, such as force-balance,energy, or all."""
-    rules: Annotated[ChangedProtocolGroup, FLAT] = field(default_factory=ChangedProtocolGroup)
+    rules: ChangedProtocolGroup = field(default_factory=ChangedProtocolGroup)
     fem: Switch = False
     """Run no check. Press the tissue beside finite elements of layers with skin, and print both; needs scikit-fem."""
     out: Path = Path("runs/validation")
     """Folder for validation.json and the figures."""
-    verbose: Switch = False
+    verbose: Verbose = False
     """Print every measured quantity, not only those that missed their limit."""
 
-    output: Annotated[JsonGroup, FLAT] = field(default_factory=JsonGroup)
+    output: JsonGroup = field(default_factory=JsonGroup)
 
     after_interrupt: ClassVar[str] = "; the checks that were finished are in validation.json"
 
@@ -129,12 +81,11 @@ class Validate:
         found = {body: self._validate(rules, body, names, self._folder(body, wanted)) for body in wanted}
         passed = all(validation.passed for validation in found.values())
         if self.output.json:
-            self._say(found, passed=passed)
+            self._answer(found, passed=passed)
         return 0 if passed else 1
 
-    def _say(self, found: Mapping[str, Validation], *, passed: bool) -> None:
+    def _answer(self, found: Mapping[str, Validation], *, passed: bool) -> None:
         from carecontact.cli.answers import BodyAnswer, ValidateAnswer
-        from carecontact.cli.console import print_answer
 
         bodies = [
             {
@@ -154,77 +105,114 @@ class Validate:
     def _beside_finite_elements(self, rules: Protocol, wanted: tuple[str, ...]) -> int:
         if self.quick or self.checks != "all" or self.output.json:
             raise ConfigError("--fem runs no check; leave out --quick, --checks and --json")
-
         for body in wanted:
             show_beside(rules, body, self._folder(body, wanted))
         return 0
 
     def _validate(self, rules: Protocol, body: str, names: tuple[str, ...], folder: Path) -> Validation:
-        from rich.console import Console
-
         from carecontact.lab.validation.run import CHECKS, validate, write
 
-        console = Console(highlight=False, width=None if Console().is_terminal else 140)
-        title = f"{rules.title}, tissue {rules.person.tissue_set}"
-        console.print(f"{body}, {title}{', quick' if self.quick else ''}", style="bold")
+        terminal = console()
+        title = f"{body}, {rules.title}, tissue {rules.person.tissue_set}{', quick' if self.quick else ''}"
+        terminal.print(title, style="bold")
 
         def keep(so_far: Validation) -> None:
-            console.print(_line(so_far.results[-1]))
+            terminal.print("  ", *_line(so_far.results[-1]), sep="")
             write(so_far, folder)
 
         validation = validate(rules, body=body, quick=self.quick, checks=names, on_check=keep)
-        missed = [(result, measure) for result in validation.results for measure in result.missed]
-        if self.verbose or missed:
-            rows = [(r, m) for r in validation.results for m in r.measures] if self.verbose else missed
-            console.print(_checks_table(rows))
-        failed = [result for result in validation.results if not result.passed]
-        print(f"{_verdict(len(failed), ran=len(names), of=len(CHECKS))}; {folder / 'validation.json'}")
+        rows = [(r, m) for r in validation.results for m in (r.measures if self.verbose else r.missed)]
+        if rows:
+            terminal.print(_checks_table(rows))
+        passed = sum(result.passed for result in validation.results)
+        verdict = "passed" if passed == len(names) else "FAILED"
+        left_out = f", --checks left out {len(CHECKS) - len(names)}" if len(names) < len(CHECKS) else ""
+        print(f"{verdict}: {passed} of {len(names)} checks passed{left_out}; {folder / 'validation.json'}")
         return validation
 
 
-def _verdict(failed: int, *, ran: int, of: int) -> str:
-    """Return how many checks failed, of those that ran, and of how many there are where not all ran."""
-    checks = f"{of} checks" if ran == of else f"{ran} check{'s' * (ran > 1)} that ran (of {of})"
-    return f"FAILED: {failed} of the {checks}" if failed else f"passed: the {checks}"
-
-
-def _line(result: CheckResult) -> str:
-    colour = "green" if result.passed else "red"
+def _line(result: CheckResult) -> tuple[Text, str]:
     limits = [m for m in result.measures if m.limit is not None and m.decides]
-    told = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
+    text = result.error or f"{sum(bool(m.met) for m in limits)} of {len(limits)} limits met"
     if not result.error and (shown := [m for m in result.measures if m.limit is not None and not m.decides]):
-        told += f"; {sum(not m.met for m in shown)} of {len(shown)} that do not decide missed"
-    return f"  [{colour}]{'pass' if result.passed else 'FAIL'}[/{colour}]  {result.title:<42} {told}"
+        text += f"; {sum(not m.met for m in shown)} of {len(shown)} that do not decide missed"
+    return _mark(result.passed, "pass", "FAIL"), f"  {result.title:<42} {text}"
 
 
 def _checks_table(rows: list[tuple[CheckResult, Measure]]) -> Table:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for header in ("check", "measured", "value", "limit", ""):
-        table.add_column(header, justify="right" if header in ("value", "limit") else "left")
+    table = plain_table("check", "measured", "value", "limit", "", left=("measured", ""))
     for result, measure in rows:
         limit = "" if measure.limit is None else f"{measure.side} {measure.limit:g} {measure.unit}"
-        verdict = {None: "", True: "[green]met[/green]", False: "[red]missed[/red]"}[measure.met]
+        verdict = "" if measure.met is None else _mark(measure.met, "met", "missed")
         if measure.met is not None and not measure.decides:
             verdict = f"{'met' if measure.met else 'not met'} (does not decide)"
         table.add_row(result.check, measure.name, f"{measure.value:.3g} {measure.unit}", limit, verdict)
     return table
 
 
-# ``carecontact probe``: do scores follow the quantities that they measure?
+def show_beside(rules: Protocol, body: str, folder: Path) -> None:
+    """Print the comparison with finite elements region by region, and write ``fem.json`` and ``fem.png``.
+
+    Raises DependencyError where scikit-fem is missing.
+    """
+    from carecontact.lab.fem.compare import as_json, compare, draw
+    from carecontact.lab.validation.subject import Subject
+    from carecontact.plotting import draw_figure
+    from carecontact.protocol.overrides import overridden
+
+    terminal = console()
+    title = f"{body}, {rules.title}, tissue {rules.person.tissue_set}, beside finite elements"
+    terminal.print(title, style="bold")
+
+    def show(done: Comparison) -> None:
+        terminal.print(_fem_table(done))
+        for name, value in done.extras.items():
+            terminal.print(f"  {name}: {value:.2f}")
+
+    found = compare(Subject(overridden(rules, {"person.body": body})), on_region=show)
+    folder.mkdir(parents=True, exist_ok=True)
+    record, picture = folder / "fem.json", folder / "fem.png"
+    record.write_text(json.dumps(as_json(found), indent=2) + "\n")
+    draw_figure(partial(draw, found), picture)
+    print(f"{record}, {picture}")
+
+
+def _fem_table(done: Comparison) -> Table:
+    from carecontact.lab.fem.compare import CLOSE_PERCENT
+
+    ground = done.case.ground
+    radius = ground.limb_radius_m
+    shape = "flat" if radius is None else f"round, radius {1000 * radius:.0f} mm"
+    table = plain_table("measured", "skins", "middle skin", "no skin", "simulator", f"within {CLOSE_PERCENT:g} %")
+    table.title = f"{done.case.region}: {1000 * ground.thickness_m:.0f} mm of tissue over bone, {shape}"
+    for row in done.rows():
+        standard = row.standard
+        skins = f"{min(standard.skins):.2f} to {max(standard.skins):.2f}"
+        values = [f"{value:.2f}" for value in (standard.skins[0], standard.plain, row.simulated)]
+        name = f"{standard.name} ({standard.unit})" if standard.unit else standard.name
+        table.add_row(name, skins, *values, _mark(row.agrees, "yes", f"{row.outside_percent:.0f} % outside"))
+    moduli = ", ".join(f"{answer.modulus_pa / 1000:.1f}" for answer in done.skins)
+    table.caption = f"tissue under the skins: {moduli} kPa; without skin {done.plain.modulus_pa / 1000:.1f} kPa"
+    return table
+
+
+def _mark(good: bool, yes: str, no: str) -> Text:
+    from rich.text import Text
+
+    return Text(yes, "green") if good else Text(no, "red")
+
 
 SCHEMA = "carecontact-probe-1"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Probe:
+class Metrics:
     """Check that C1, C2, C4 and C5 follow the quantities that they measure: for each score, simulate scripted
     trials in which one quantity changes step by step (a sweep, for example of the commanded depth), and plot them."""
 
     metrics: str = "all"
     """Ids separated by commas, such as C1,C5 (short for C1@1,C5@1), or all (C1@1, C2@1, C4@1, C5@1)."""
-    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
+    rules: RulesGroup = field(default_factory=RulesGroup)
     out: Path = Path("runs/probe")
     """Folder for probe.json and probe.png."""
 
@@ -242,8 +230,7 @@ class Probe:
             raise ConfigError(
                 f"--metrics {self.metrics!r}: expected ids separated by commas, each once; valid: {', '.join(PROBES)}"
             )
-        if self.out.exists() and not self.out.is_dir():
-            raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        check_folder(self.out)
         rules = self.rules.load()
         subject = Subject(rules)
         print(f"{rules.title}, {rules.person.body}", flush=True)
@@ -267,8 +254,11 @@ def _write(out: Path, rules: Protocol, results: list[CheckResult], *, passed: bo
 
     out.mkdir(parents=True, exist_ok=True)
     content = {
-        "schema": SCHEMA, "passed": passed, "protocol": {"id": rules.id, "sha256": rules.sha256},
-        "body": rules.person.body, "probes": [result.as_json() for result in results],
-    }  # fmt: skip
+        "schema": SCHEMA,
+        "passed": passed,
+        "protocol": {"id": rules.id, "sha256": rules.sha256},
+        "body": rules.person.body,
+        "probes": [result.as_json() for result in results],
+    }
     (out / "probe.json").write_text(json.dumps(content, indent=2) + "\n")
     draw_figure(partial(draw, results), out / "probe.png")

@@ -1,17 +1,25 @@
-"""``carecontact audit``: checks that no policy receives what it must not know; ``carecontact salt`` checks a run's
-secret."""
+"""``carecontact verify leaks``: checks that no policy receives what it must not know."""
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from carecontact.cli.groups import FLAT, ArgumentsGroup, PolicyGroup, RulesGroup, SaltGroup, Switch
-from carecontact.errors import ConfigError, counted
+from carecontact.cli.groups import (
+    ArgumentsGroup,
+    PolicyGroup,
+    RulesGroup,
+    SaltGroup,
+    Switch,
+    check_folder,
+    check_trial,
+    need_recordings,
+)
+from carecontact.cli.parsing import given_options
+from carecontact.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,20 +28,18 @@ if TYPE_CHECKING:
     from carecontact.protocol.protocol import Protocol
 
 
-# ``carecontact audit``: checks that no policy receives what it must not know.
-
 SHOWN = 8
 """Largest number of findings of one part that are printed. The file has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Audit:
+class Leaks:
     """Check that the benchmark leaks nothing to a policy: no message may depend on what the policy must not know."""
 
     policy: tuple[str, ...] = ()
     """Policies to audit: names from `carecontact list policies`, module:Class, or addresses of
     servers; default: every registered one."""
-    given: Annotated[ArgumentsGroup, FLAT] = field(default_factory=ArgumentsGroup)
+    given: ArgumentsGroup = field(default_factory=ArgumentsGroup)
     quick: Switch = False
     """Audit a single region with short trials. The full audit takes minutes."""
     tasks: str = ""
@@ -44,8 +50,8 @@ class Audit:
     run: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Examine nothing but the recordings of this run: does the wall time between two acts tell contact? Only a run with
     --pace fails if it does. A run in which no trial has acts both with and without contact has nothing to examine."""
-    rules: Annotated[RulesGroup, FLAT] = field(default_factory=RulesGroup)
-    salted: Annotated[SaltGroup, FLAT] = field(default_factory=SaltGroup)
+    rules: RulesGroup = field(default_factory=RulesGroup)
+    salted: SaltGroup = field(default_factory=SaltGroup)
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/audit")
     """Folder for audit.json."""
 
@@ -61,8 +67,7 @@ class Audit:
 
         if self.run is not None:
             return self._audit_time(self.run)
-        if self.out.exists() and not self.out.is_dir():
-            raise ConfigError(f"--out {self.out}: this is a file; name a folder")
+        check_folder(self.out)
         twice = sorted({name for name in self.policy if self.policy.count(name) > 1})
         if twice:
             raise ConfigError(f"--policy: {', '.join(twice)} is named twice; name each policy once")
@@ -111,22 +116,20 @@ class Audit:
     def _trials(self, rules: Protocol) -> tuple[list[str], int]:
         """Return the tasks that --tasks names (none by default) and the seed. Raises ConfigError for what the protocol
         does not have."""
-        from carecontact.cli.groups import check_seed
         from carecontact.runs.plan import parse_tasks
 
         seeds = rules.randomization.seeds
         seed = (seeds[0] if seeds else 0) if self.seed is None else self.seed
         if self.seed is not None:
-            check_seed(rules, seed=seed)
+            check_trial(rules, seed=seed)
         return parse_tasks(self.tasks, protocol=rules) if self.tasks else [], seed
 
     def _audit_time(self, run: Path) -> int:
         from carecontact.audit.wall_time import audit_time
-        from carecontact.cli.score import need_recordings
         from carecontact.recording import read_recording
 
-        if self.policy or self.quick or self.tasks or self.seed is not None:
-            raise ConfigError("--run examines only recordings; leave out --policy, --quick, --tasks and --seed")
+        if other := [option for option in given_options(self) if option != "--run"]:
+            raise ConfigError(f"--run examines only recordings; leave out {', '.join(other)}")
         need_recordings(run)
         part = audit_time(read_recording(path) for path in sorted(run.glob("*.h5")))
         _print([part])
@@ -137,7 +140,8 @@ def _print(parts: Sequence[Part]) -> None:
     width = max(len(part.title) for part in parts)
     for part in parts:
         verdict = "none" if part.nothing_to_examine else "pass"
-        print(f"{verdict if part.passed else 'FAIL'}  {part.name:14} {part.title:{width}}  {_looked_at(part)}")
+        examined = ", ".join(f"{what}: {count:,}" for what, count in part.counts.items())
+        print(f"{verdict if part.passed else 'FAIL'}  {part.name:14} {part.title:{width}}  {examined}")
         for note in part.notes:
             print(f"        {note}")
         for finding in part.findings[:SHOWN]:
@@ -148,70 +152,6 @@ def _print(parts: Sequence[Part]) -> None:
             print(f"        the audit examined no {missing}, so this part fails")
 
 
-def _looked_at(part: Part) -> str:
-    return ", ".join(f"{count:,} {_one(what) if count == 1 else what}" for what, count in part.counts.items())
-
-
-def _one(what: str) -> str:
-    """Return the singular: ``policies`` -> ``policy``, ``observations in contact`` -> ``observation in contact``."""
-    first, space, rest = what.partition(" ")
-    return (f"{first[:-3]}y" if first.endswith("ies") else first.removesuffix("s")) + space + rest
-
-
 def _line(finding: Finding) -> str:
     whose = f"{finding.policy}: " if finding.policy else ""
-    return f"{whose}{finding.place}: {' '.join(finding.told.split())}"
-
-
-# ``carecontact salt``: the secret of a run whose persons nobody may know beforehand.
-
-
-@dataclass(frozen=True, kw_only=True)
-class Salt:
-    """Make a secret for `carecontact run --salt-file` and print its sha256, to be published before the run; reveal the
-    secret in a finished run; or verify that a run was made with the secret that it committed to."""
-
-    what: Annotated[Literal["make", "reveal", "verify"], tyro.conf.Positional]
-    """What to do: write a new secret into a file; write the secret into a run's manifest, where everybody can read it;
-    or check a run whose secret is revealed."""
-    place: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|RUN")]
-    """The file to make, or the folder of the run."""
-    salt_file: Path | None = None
-    """File with the secret of the run, for `reveal`."""
-
-    after_interrupt: ClassVar[str] = ""
-
-    def __call__(self) -> int:
-        """Return 1 if a run does not agree with its salt. Raises ConfigError as ``runs.salt`` and ``audit.salt``."""
-        if (self.what == "reveal") != (self.salt_file is not None):
-            raise ConfigError("--salt-file: `salt reveal RUN` needs it, and only that")
-        if self.what == "make":
-            from carecontact.runs.manifest import make_salt
-
-            print(
-                f"{self.place}: keep it secret until every run is done; its sha256, to be published before the first:"
-            )
-            print(make_salt(self.place))
-            return 0
-        return self._reveal() if self.what == "reveal" else self._verify()
-
-    def _reveal(self) -> int:
-        from carecontact.runs.lock import folder_lock
-        from carecontact.runs.manifest import read_salt, reveal_salt
-
-        assert self.salt_file is not None
-        with folder_lock(self.place):
-            reveal_salt(self.place, read_salt(self.salt_file))
-        command = f"carecontact salt verify {shlex.quote(str(self.place))}"
-        print(f"{self.place}: the salt is revealed; anyone can check it with `{command}`")
-        return 0
-
-    def _verify(self) -> int:
-        from carecontact.audit.salt import verify_salt
-
-        found = verify_salt(self.place)
-        for fault in found.faults:
-            print(fault)
-        looked_at = f"{counted(found.recordings, 'recording')}, {counted(found.draws, 'draw')} made again"
-        print(f"{'FAILED' if found.faults else 'verified'}: sha256 {found.sha256}, {looked_at}")
-        return 1 if found.faults else 0
+    return f"{whose}{finding.place}: {' '.join(finding.detail.split())}"
