@@ -22,7 +22,7 @@ PRIVILEGED = (
     "label", "score", "gate", "comfort", "protocol", "task",
 )  # fmt: skip
 """No key of a message may contain one of these words, even if the contract's classes allow it. Keys of a dialect that
-contain one are on the dialect's exact list (``hosting.dialects``)."""
+contain one are on the dialect's exact list (``audit.schema``)."""
 
 
 CLOSED = (

@@ -97,7 +97,7 @@ class Episode:
             prepare: gives the world at t = 0; by default ``settled_world`` builds it.
             weights: folder with the weights of the protocol's segmenter.
             digest: gives the 32 bytes that the recording keeps for an observation that was not sent over a wire; by
-                default zeros. With ``hosting.wire.messages.observation_sha256`` they are those of a trial.
+                default zeros. With ``serving.codec.observation_sha256`` they are those of a trial.
 
         Raises:
             ConfigError: the protocol has no such task.

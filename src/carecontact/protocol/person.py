@@ -135,7 +135,7 @@ class Tissue(Section):
     neighbours with it. 0: no membrane; neighbouring patches move independently."""
     contact_n_m3: Positive
     """[N/m per m^2] of the layer between the shell and the tool, which stands for skin compressed across its thickness:
-    its pressure over the depth by which the tool's surface lies in it, for small depths (``kernel.region.LAYER_M``)."""
+    its pressure over the depth by which the tool's surface lies in it, for small depths (``LAYER_M``)."""
     areal_mass_kg_m2: Positive
     spacing_m: Length
     """Vertex spacing on the patch that the tool can reach."""

@@ -99,7 +99,7 @@ class Scene(Section):
     board_friction: Positive
     tool: Annotated[str, AfterValidator(registered(EMBODIMENTS))] = "caps"
     """The robot, named by what its hand wears: a rigid cap over the fingertips, or a soft wash mitt
-    (``contract.embodiment``)."""
+    (``interface.robot``)."""
 
     @property
     def robot(self) -> Robot:
@@ -117,7 +117,7 @@ Spread = Annotated[float, Field(ge=0, le=0.5)]
 
 class BasePlacement(Section):
     """Where the robot may stand beside the bed: a base is drawn, and drawn again, until it serves the task's region
-    (``episode.parking``).
+    (``episode.base_placement``).
 
     A base's height is against a bed that stays: a lower base is a bed raised against the robot.
     """
@@ -173,7 +173,7 @@ class Variation(Section):
     place_across_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
-    """The same, turned about the vertical through the right shoulder (``world.place``)."""
+    """The same, turned about the vertical through the right shoulder (``world.randomization.Place``)."""
     calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
     calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
