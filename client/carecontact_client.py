@@ -88,11 +88,12 @@ def _converse(make_policy: Callable[[], Any], connection: ServerConnection, slot
         # Before the slot: a trial that waits for its turn knows that somebody is there.
         connection.send(encode({"type": "card", "card": policy.card}))
         with slots:
+            views: dict[str, Any] = {}
             for frame in connection:
                 message = decode(frame)
                 if message["type"] == "close":
                     return
-                connection.send(encode(_answer(policy, message)))
+                connection.send(encode(_answer(policy, message, views)))
     except ConnectionClosed:
         return  # the trial ended without this policy
     except Exception:
@@ -102,11 +103,16 @@ def _converse(make_policy: Callable[[], Any], connection: ServerConnection, slot
         connection.send(encode({**said, **_notes(policy)}))
 
 
-def _answer(policy: Any, message: dict[str, Any]) -> dict[str, Any]:
+def _answer(policy: Any, message: dict[str, Any], views: dict[str, Any]) -> dict[str, Any]:
+    """``views``: the last view of each camera, with its time; an observation brings those that are new."""
     if message["type"] == "reset":
+        views.clear()
         policy.reset(message["instruction"], message["session"])
         return {"type": "ready"}
-    return {"type": "actions", "actions": actions_of(policy.act(message["observation"])), **_notes(policy)}
+    observation = message["observation"]
+    views |= {name: {**view, "sim_time_s": observation["sim_time_s"]} for name, view in observation["cameras"].items()}
+    actions = actions_of(policy.act({**observation, "cameras": dict(views)}))
+    return {"type": "actions", "actions": actions, **_notes(policy)}
 
 
 def _notes(policy: Any) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def test_a_package_says_in_one_sentence_what_lives_there(package: str) -> None:
 # What must not be loaded: the walls that import-linter draws, seen from a running interpreter.
 
 NO_SIMULATOR = ("scoring", "stats", "recording", "interface", "protocol", "policies", "report")
-HEAVY = {"numpy", "scipy", "pydantic", "matplotlib", "h5py", "jinja2", "mujoco", "mediapipe", "cv2", "websockets"}
+HEAVY = {"numpy", "scipy", "pydantic", "matplotlib", "h5py", "jinja2", "mujoco", "ai_edge_litert", "PIL", "websockets"}
 
 
 def loaded_after(code: str) -> set[str]:
@@ -70,7 +70,7 @@ def test_no_module_of_these_packages_loads_the_simulator() -> None:
         "import carecontact.cli.scores, carecontact.cli.publish, carecontact.cli.run, carecontact.cli.compare"
     )
     assert {f"carecontact.{name}" for name in NO_SIMULATOR} <= loaded
-    assert not loaded & {"mujoco", "mediapipe", "carecontact.world", "carecontact.sim"}
+    assert not loaded & {"mujoco", "ai_edge_litert", "carecontact.world", "carecontact.sim"}
 
 
 def test_the_test_sees_a_simulator_that_is_loaded() -> None:
@@ -103,4 +103,4 @@ def test_scoring_and_reporting_commands_load_no_simulator() -> None:
         "import carecontact.cli.publish, carecontact.scoring, carecontact.report, carecontact.cli.run, "
         "carecontact.cli.compare, carecontact.report.comparison"
     )
-    assert not loaded & {"mujoco", "mediapipe"}
+    assert not loaded & {"mujoco", "ai_edge_litert"}

@@ -14,7 +14,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-import cv2
+from PIL import Image
 
 from carecontact.human.library import body_names, load_body
 from carecontact.human.skin import GREY, Appearance, fine_paint
@@ -38,7 +38,7 @@ def bake(name: str, folder: Path) -> None:
     body, appearance = load_body(name), APPEARANCE[name]
     image = fine_paint(body, appearance)
     path = folder / f"{name}.skin.png"
-    cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    Image.fromarray(image).save(path, optimize=True)
     record = {
         "source": "procedural paint of this project", "script": "tools/bake_skin.py", "licence": "Apache-2.0",
         "appearance": asdict(appearance), "body_sha256": body.sha256,

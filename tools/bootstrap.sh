@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes .venv from uv.lock on a machine that has nothing but Python 3.11 or 3.12. Quick when nothing changed.
+# Makes .venv from uv.lock on a machine that has nothing but Python 3.11 to 3.14. Quick when nothing changed.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -22,8 +22,8 @@ need_packages() {
 }
 
 find_python() {
-    for candidate in python3.11 python3.12 python3; do
-        if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null; then
+    for candidate in python3.11 python3.12 python3.13 python3.14 python3; do
+        if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))' 2>/dev/null; then
             "$candidate" -c 'import sys; print(sys.executable)'
             return
         fi
@@ -35,10 +35,10 @@ loads() { "$PYTHON" -c 'import ctypes, sys; [ctypes.CDLL(name) for name in sys.a
 missing=
 PYTHON=$(find_python)
 if [ -z "$PYTHON" ]; then
-    say "no Python 3.11 or 3.12 found"
+    say "no Python 3.11, 3.12, 3.13 or 3.14 found"
     need_packages python3 python3-venv
     PYTHON=$(find_python)
-    [ -n "$PYTHON" ] || fail "this system's python3 is neither 3.11 nor 3.12; install one of these"
+    [ -n "$PYTHON" ] || fail "this system's python3 is none of 3.11 to 3.14; install one of these"
 fi
 if ! [ -x "$UV_VENV/bin/python" ] && ! "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null; then
     say "Python's venv module is missing"

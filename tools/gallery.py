@@ -10,10 +10,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
+from PIL import Image, ImageDraw
 
 from carecontact.episode.randomization import settled_world
+from carecontact.pictures import shrunk
 from carecontact.protocol.load import load_levels
 from carecontact.runs.plan import parse_seeds
 from carecontact.sim.rendering import SceneRenderer
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         rows.append(np.hstack(tiles))
     rows.append(np.hstack(arms))
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(given.out), np.vstack(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    Image.fromarray(np.vstack(rows)).save(given.out, quality=80)
 
 
 def pictures(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
@@ -67,10 +68,9 @@ def pictures(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
 
 def tile(image: np.ndarray, label: str) -> np.ndarray:
     """(HEIGHT + LABEL, WIDTH, 3) the picture under its label."""
-    small = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-    line = np.full((LABEL, WIDTH, 3), 255, np.uint8)
-    cv2.putText(line, label, (4, LABEL - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (30, 30, 30), 1, cv2.LINE_AA)
-    return np.vstack([line, small])
+    line = Image.new("RGB", (WIDTH, LABEL), "white")
+    ImageDraw.Draw(line).text((4, LABEL - 5), label, fill=(30, 30, 30), font_size=11, anchor="ls")
+    return np.vstack([np.array(line), shrunk(image, WIDTH)])
 
 
 if __name__ == "__main__":

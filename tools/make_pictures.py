@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from carecontact.pictures import jpeg
 from carecontact.protocol.load import load_protocol
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
@@ -18,7 +18,7 @@ from carecontact.world.scene import build_scene
 
 
 def save(path: Path, rgb: np.ndarray) -> None:
-    cv2.imwrite(str(path), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    path.write_bytes(jpeg(rgb, 88))
     print(f"{path}  {rgb.shape[1]}x{rgb.shape[0]}  {path.stat().st_size / 1000:.0f} kB")
 
 

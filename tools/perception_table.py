@@ -38,7 +38,7 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Variation
 from carecontact.recording.notes import JOINTS
 from carecontact.sensing.builder import ObservationBuilder
-from carecontact.sensing.keypoints import KeyPoints, MediaPipePose
+from carecontact.sensing.keypoints import KeyPoints, PoseEstimator
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, pointing_down
@@ -62,7 +62,7 @@ SOURCES = (
     "tissue", "world", "episode/perception.py", "episode/randomization.py",
 )  # fmt: skip
 """Of the package, what a row depends on."""
-PACKAGES = ("mediapipe", "mujoco", "numpy", "opencv-python-headless")
+PACKAGES = ("ai-edge-litert", "mujoco", "numpy", "pillow")
 CONDITIONS = {"parked": "Robot parked", "noise": "Robot parked, sensor noise", "over": "Tool 60 mm above the region"}
 
 
@@ -70,7 +70,7 @@ class Remembering:
     """Answers for the last image without looking again: noise changes depth only."""
 
     def __init__(self) -> None:
-        self._estimator, self._image, self._found = MediaPipePose(), np.zeros(0, np.uint8), None
+        self._estimator, self._image, self._found = PoseEstimator(), np.zeros(0, np.uint8), None
 
     def estimate(self, rgb: np.ndarray) -> KeyPoints:
         if self._found is None or not np.array_equal(rgb, self._image):

@@ -1,4 +1,10 @@
-"""Build the sdist and the wheels of all platforms that have a compiled tissue into dist/: `make wheels`.
+"""Build and check all that a release publishes, and publish nothing: `make wheels`.
+
+    python tools/wheels.py UV [--pythons 3.11,3.12,3.13] [--tasks T1]
+
+It writes the sdist and the wheels of all platforms that have a compiled tissue into dist/. The index must accept their
+metadata (`twine check`). This machine's wheel is installed by pip, and the sdist by uv, each into a new environment of
+each Python; there `carecontact doctor` and a run of the tasks must pass, and the sizes of the packages are printed.
 
 Every wheel is made twice from the sdist, in different folders, and must have the same bytes. Each binary is then read
 without running it: it must be of its platform, need only MuJoCo and the system's C library, no newer than the wheel's
@@ -7,12 +13,14 @@ tag promises, and export nothing but its own functions.
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import subprocess
 import sys
 import tempfile
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -30,7 +38,14 @@ OWN = "carecontact_"
 
 def main() -> int:
     lief.logging.disable()
-    dist, uv = ROOT / "dist", sys.argv[1]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("uv")
+    parser.add_argument("--pythons", default=sys.executable, help="versions or programs, separated by commas")
+    parser.add_argument("--tasks", default="T1")
+    given = parser.parse_args()
+    dist, uv = ROOT / "dist", str(Path(given.uv).absolute())
+    for old in dist.glob("carecontact-*"):
+        old.unlink()
     made = build(uv, ["--sdist", str(ROOT)], dist)
     print(size_of(made))
     faults: list[str] = []
@@ -42,9 +57,52 @@ def main() -> int:
                 faults.append(f"{wheel.name}: a second build gave other bytes")
         faults += [f"{wheel.name}: {fault}" for fault in faults_of(wheel, platform)]
         print(size_of(wheel))
+        if platform == binary.platform_here():
+            ours = wheel
+    files = sorted(map(str, dist.glob("carecontact-*")))
+    subprocess.run([sys.executable, "-m", "twine", "check", "--strict", *files], check=True)
+    for python in given.pythons.split(","):
+        for file, installer in ((ours, "pip"), (ours, "uv"), (made, "uv")):
+            with tempfile.TemporaryDirectory() as folder:
+                try_out(uv, python, installer, file, Path(folder), tasks=given.tasks)
     for fault in faults:
         print(f"FAIL {fault}", file=sys.stderr)
     return 1 if faults else 0
+
+
+def try_out(uv: str, python: str, installer: str, file: Path, folder: Path, *, tasks: str) -> None:
+    """Install a file into a new environment and use it there. Raises CalledProcessError where a command fails."""
+    # Nothing of this program's environment, such as a path to look for modules in, reaches the new one.
+    own = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}
+
+    def call(*arguments: object) -> str:
+        words = list(map(str, arguments))
+        return subprocess.run(words, cwd=folder, env=own, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+    call(uv, "venv", "--quiet", "--seed", "--python", python, "env")
+    inside = folder / "env" / "bin"
+    if installer == "pip":
+        call(inside / "pip", "install", "--quiet", file)
+    else:
+        call(uv, "pip", "install", "--quiet", "--compile-bytecode", "--python", inside / "python", file)
+    sizes = sizes_of(next((folder / "env" / "lib").glob("python*/site-packages")))
+    parts = ", ".join(f"{name} {size / 1e6:.0f}" for name, size in sizes.most_common(12))
+    print(f"{file.name} by {installer} into {call(inside / 'python', '--version').strip()}: "
+          f"{sizes.total() / 1e6:.0f} MB with bytecode ({parts})", flush=True)  # fmt: skip
+    call(inside / "carecontact", "doctor")
+    run = call(inside / "carecontact", "run", "--policy", "state-machine", "--tasks", tasks, "--seeds", "0")
+    print(next(line for line in run.splitlines() if "passes" in line), flush=True)
+
+
+def sizes_of(packages: Path) -> Counter[str]:
+    """Return the bytes of each top-level name, with libraries and metadata counted to the package that brings them."""
+    sizes: Counter[str] = Counter()
+    for path in packages.rglob("*"):
+        if path.is_file() and not path.is_symlink():
+            name = path.relative_to(packages).parts[0]
+            if name.partition("-")[0] not in {"pip", "setuptools"}:
+                sizes[re.sub(r"(\.libs|-[\d.]+\S*)$", "", name)] += path.stat().st_size
+    return sizes
 
 
 def size_of(file: Path) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from carecontact.interface.action import Action
 from carecontact.interface.observation import CameraView, Observation
 from carecontact.interface.policy import PolicyCard
-from carecontact.interface.robot import ActionBounds, Session
+from carecontact.interface.robot import ActionBounds, Compliance, Session
 from carecontact.serving import codec
 from carecontact.serving.codec import CLOSE, act_message, reset_message
 from carecontact.serving.packing import is_array, is_list, is_map, pack, unpack
@@ -35,6 +35,9 @@ SESSION = Session(
     joint_high_rad=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
     camera_sizes_px={"overhead": (640, 480), "bedside": (640, 480), "exterior": (640, 360), "wrist": (640, 480)},
     time_limit_s=30.0,
+    compliance=Compliance(
+        stiffness=(400.0, 30.0), damping_ratio=1.0, effective_mass_kg=10.0, effective_inertia_kgm2=0.25
+    ),
 )
 OBSERVATION = Observation(
     instruction="gently touch the right forearm",

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carecontact.errors import ConfigError
+from carecontact.errors import ConfigError, DependencyError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,12 +22,14 @@ BACKEND = "MPLBACKEND"
 
 
 def import_matplotlib() -> Any:
-    """Return the package. Raises ConfigError for a matplotlibrc file that it cannot read."""
+    """Return the package. Raises DependencyError without it, ConfigError for a matplotlibrc file it cannot read."""
     if "matplotlib" in sys.modules:
         return sys.modules["matplotlib"]
     given = os.environ.pop(BACKEND, None)
     try:
         import matplotlib
+    except ImportError:
+        raise DependencyError("figures need matplotlib: pip install 'carecontact[figures]'") from None
     except (ValueError, OSError) as error:
         raise ConfigError(
             "matplotlib cannot read a matplotlibrc file (in the current folder, in the one that MATPLOTLIBRC names, or "
@@ -50,7 +52,7 @@ def plain_figures(style: Mapping[str, Any] | None = None) -> Generator[None]:
     Args:
         style: settings in place of some of these.
 
-    Raises ConfigError as ``import_matplotlib``.
+    Raises as ``import_matplotlib``.
     """
     matplotlib = import_matplotlib()
     own = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}

@@ -199,7 +199,7 @@ def test_the_person_s_arm_in_session_and_encoders(
 
     def leaky_begin(self: Episode, spec: TrialSpec, **rest: Any) -> None:
         begin(self, spec, **rest)
-        settled_deg.append(self._settled.comfort_arm_deg)
+        settled_deg.append(self._world.settled.comfort_arm_deg)
 
     def leaky_session(self: Episode) -> Session:
         facts = session.__get__(self)

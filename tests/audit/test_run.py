@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from carecontact.sim.state import Proprioception
 from tests.audit.conftest import LastForce, Press, places
 
 LATE = 8
+MOVING = PolicyCard(name="moving", cameras=(), tool_velocity=True)
 
 
 def test_forces_in_time_speed_and_the_last_bits_of_a_pose(
@@ -57,6 +59,28 @@ def test_forces_in_time_speed_and_the_last_bits_of_a_pose(
     late = {f.detail.split()[1] for f in part.findings if f.place == "observation.joint_velocity"}
     assert late == {f"{time_s:.3f}" for time_s in looks[LATE - 1 :]}
     assert part.counts == {"looks": len(looks), "looks timed": len(looks)}
+
+
+def test_forces_in_the_last_bits_of_the_tool_s_velocity(
+    monkeypatch: pytest.MonkeyPatch, last_force: LastForce, keyframe: Keyframe, spec: TrialSpec, tmp_path: Path
+) -> None:
+    honest = Proprioception.velocity_tcp_in_base
+
+    def pressed(name: str) -> None:
+        seen = press(
+            spec, card=MOVING, poses=keyframe.poses, prepare=keyframe.near, actions_per_look=8,
+            folder=tmp_path / "witness", log=tmp_path / name,
+        )  # fmt: skip
+        assert seen.error is None
+
+    def leaky(self: Proprioception, data: mujoco.MjData, joint_velocity: np.ndarray) -> np.ndarray:
+        return honest(self, data, joint_velocity) * (1 + 1e-14 * last_force.newton)
+
+    pressed("honest/trial")
+    assert audit_readings(tmp_path / "honest", []).findings == ()
+    monkeypatch.setattr(Proprioception, "velocity_tcp_in_base", leaky)
+    pressed("leaky/trial")
+    assert places(audit_readings(tmp_path / "leaky", [])) == {"observation.velocity_tcp_in_base"}
 
 
 def test_what_a_picture_cannot_show(
@@ -120,7 +144,7 @@ def test_declared_noise_is_no_leak_and_no_hiding_place(
     noisy = spec.protocol.model_copy(
         update={"variation": Variation(depth_noise="structured-light-v1", encoder_noise_rad=1e-3)}
     )
-    card, honest = PolicyCard(name="deep", modalities=("depth",), cameras=("wrist",)), SensorNoise.joint_position
+    card, honest = replace(MOVING, modalities=("depth",), cameras=("wrist",)), SensorNoise.joint_position
 
     def start(name: str) -> None:
         seen = press(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from carecontact.serving.sent_message import rebuilt_message, unpacked_message
 from tests.audit.conftest import places
 from tests.audit.test_planted_leaks import short
 from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
+from tests.serving.delta_servers import Bridge, Libero, OnOpenpi, OnVlaEval
 from tests.serving.fakes import INSTRUCTION, Fake, Openpi, RoboArena, VlaEval, policy_at, seen
 
 SERVERS: dict[str, tuple[Callable[[], Fake], str]] = {
@@ -29,11 +31,20 @@ SERVERS: dict[str, tuple[Callable[[], Fake], str]] = {
     "roboarena": (RoboArena, "roboarena://127.0.0.1:{}"),
     "vla-eval": (VlaEval, "vla-eval://127.0.0.1:{}"),
 }
+DELTAS: dict[str, tuple[Callable[[], Fake], str]] = {
+    "openpi, libero": (lambda: OnOpenpi(driver=Libero()), "openpi://127.0.0.1:{}?profile=libero"),
+    "openpi, bridge": (lambda: OnOpenpi(driver=Bridge()), "openpi://127.0.0.1:{}?profile=bridge"),
+    "vla-eval, libero": (lambda: OnVlaEval(driver=Libero()), "vla-eval://127.0.0.1:{}?profile=libero"),
+    "vla-eval, bridge": (
+        lambda: OnVlaEval(driver=Bridge(), payload={"observation_params": {"send_state": True}}),
+        "vla-eval://127.0.0.1:{}?profile=bridge&orientation=turned",
+    ),
+}
 
 
 def conversation(dialect: str) -> tuple[list[bytes], PolicyCard]:
     """Everything that a client sent in a short trial."""
-    make, address = SERVERS[dialect]
+    make, address = (SERVERS | DELTAS)[dialect]
     sent: list[bytes] = []
     with make().running() as port, policy_at(address.format(port)) as policy:
         policy.on_sent = sent.append
@@ -66,6 +77,27 @@ def test_each_observation_can_be_made_again_byte_by_byte(dialect: str) -> None:
     for message in carry:
         assert rebuilt_message(seen(), card.arguments, card.cameras, sent=message) == message
     assert unpacked_message(carry[0], dialect)
+
+
+@pytest.mark.parametrize("name", DELTAS)
+def test_conversations_of_servers_that_answer_deltas(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent, card = conversation(name)
+    assert check_conversation(sent, card, instruction=INSTRUCTION) == []
+    carry = [message for message in sent if b"image" in message]
+    assert len(carry) == 2
+    for message in carry:
+        assert rebuilt_message(seen(), card.arguments, card.cameras, sent=message) == message
+    # A state with one number more, and a picture that nobody asked for, are named.
+    dialect = name.partition(",")[0]
+    entries = cast(dict[str, Any], unpacked_message(carry[0], dialect))
+    inner = entries if dialect == "openpi" else entries["payload"]
+    state = "observation/state" if dialect == "openpi" else "states"
+    inner[state] = np.append(inner[state], 3.0)
+    inner["seed"] = 3
+    changed = openpi.pack(entries) if dialect == "openpi" else pack(entries)
+    messages = [changed if message is carry[0] else message for message in sent]
+    found = {place for place, _ in check_conversation(messages, card, instruction=INSTRUCTION)}
+    assert {place.rpartition(".")[2] for place in found} == {state, "seed"}
 
 
 def also(function: Callable[..., dict[str, Any]], change: Callable[[dict[str, Any]], object]) -> Callable[..., Any]:
@@ -266,6 +298,8 @@ def test_a_message_with_all_that_was_asked_for_is_fine() -> None:
         ({**message(), "seed": 3}, ALL, "message", "got ['observation', 'seed', 'type']"),
         ([1], ALL, "message", "got list"),
         (message(contact_force=1.0), ALL, "observation.contact_force", "privileged"),
+        (message(velocity_tcp_in_base=np.zeros(6)), ALL, "observation.velocity_tcp_in_base", "without a request"),
+        (message(), replace(ALL, tool_velocity=True), "observation.velocity_tcp_in_base", "was not sent, although"),
         (message(contact_force=1.0), ALL, "observation", "unknown key contact_force"),
         (message(joint_position=np.zeros(8)), ALL, "observation", "expected float64 (joints)"),
         (message(joint_position=np.zeros(8), joint_velocity=np.zeros(8)), ALL, "observation.joint_position", "got 8"),

@@ -292,7 +292,7 @@ WRONG = {
     ("check",): "error: Missing from carecontact check: POLICY; For full helptext, run: carecontact check --help\n",
     ("list", "task"): (
         "error: no choice named 'task' (did you mean 'tasks'?); valid: tasks, actions, regions, segments, spaces, "
-        "controls, robots, policies, protocols, bodies, tissue, metrics, limits, all; For full helptext, run "
+        "deltas, controls, robots, policies, protocols, bodies, tissue, metrics, limits, all; For full helptext, run "
         "carecontact list --help\n"
     ),
     ("run", "--demo", "--jobs", "two"): (

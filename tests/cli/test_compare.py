@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from carecontact.cli import main
-from carecontact.recording import Failure, write_recording
+from carecontact.errors import ConfigError
+from carecontact.recording import Failure, read_recording, write_recording
 from carecontact.runs import RunScores, score_run, write_scores
 from carecontact.runs.results_file import pack_results
 from tests.report.synthetic import NO_CONTACT, make_score
@@ -117,6 +118,28 @@ def test_refusals_are_one_line(runs: Path, capsys: pytest.CaptureFixture[str]) -
     Path("other").mkdir()
     write_scores("other", RunScores(scores=[make_score("T1", 0, protocol_sha256="1" * 64)]))
     assert "only runs of the same protocol" in refused("a", "other")
+
+
+def in_process(path: Path) -> None:
+    """Say that an episode in another program made a recording."""
+    recording = read_recording(path)
+    write_recording(replace(recording, header=recording.header.model_copy(update={"origin": "in-process"})), path)
+
+
+@pytest.mark.parametrize("third_run", [False, True], ids=["two runs", "a ranking"])
+def test_what_was_recorded_in_process_is_reported_and_not_compared(
+    runs: Path, capsys: pytest.CaptureFixture[str], third_run: bool
+) -> None:
+    for path in (runs / "b").glob("*.h5"):
+        in_process(path)
+    assert main(["report", "b", "--rescore"]) == 0
+    if third_run:
+        shutil.copytree("a", "c")
+    assert main(["compare", "a", "b", *["c"] * third_run]) == 2
+    assert "run B: T1-s000.h5 was recorded in-process: an Episode in somebody's own program" in capsys.readouterr().err
+    in_process(runs / "a" / "T1-s001.h5")
+    with pytest.raises(ConfigError, match=r"^T1-s001.h5 was recorded in-process"):
+        score_run(runs / "a")
 
 
 def test_scores_that_no_trial_has_are_na(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

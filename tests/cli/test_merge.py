@@ -70,6 +70,13 @@ def other_recording() -> None:
     write_recording(Recording(header=header, arrays=recording.arrays), "again/T1-s000.h5")
 
 
+def in_process() -> None:
+    recording = read_recording("part-1/T1-s000.h5")
+    header = recording.header.model_copy(update={"origin": "in-process"})
+    shutil.copytree("part-1", "again")
+    write_recording(Recording(header=header, arrays=recording.arrays), "again/T1-s000.h5")
+
+
 def other_policy() -> None:
     assert main([*part(2, policy="zero-action")[:-1], "again"]) == 0
 
@@ -96,6 +103,7 @@ def misnamed() -> None:
     ("made", "message"),
     [
         (other_recording, "part-1/T1-s000.h5 and again/T1-s000.h5 are different recordings of one trial"),
+        (in_process, "again/T1-s000.h5 was recorded in-process: an Episode in somebody's own program made it"),
         (other_policy, "part-1 and again are not parts of one run: different policies, hover and zero-action"),
         (other_protocol, "not parts of one run: different protocols, bathing-v3-draft "),
         (other_release, "not parts of one run: different versions, mujoco 4.0.0 and mujoco 9.9.9"),

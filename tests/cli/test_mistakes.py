@@ -240,25 +240,27 @@ def test_synonyms_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("ModuleNotFoundError('no', name='mediapipe')", "`carecontact doctor` prints the command that installs it"),
+        (
+            "ModuleNotFoundError(\"No module named 'ai_edge_litert'\")",
+            "`carecontact doctor` prints the command that installs it",
+        ),
         (
             "ImportError('libGLESv2.so.2: no such file')",
-            "cannot be imported (libGLESv2.so.2: no such file); `carecontact doctor` says",
+            "cannot be imported (libGLESv2.so.2: no such file); `carecontact doctor` prints",
         ),
     ],
 )
 def test_a_missing_vision_model_stops_the_run_before_a_trial_counts(
     fault: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As after `pip install carecontact` alone, whose user would find every trial failed in the harness."""
     lacking = tmp_path / "lacking"
     lacking.mkdir()
-    (lacking / "mediapipe.py").write_text(f"raise {fault}")
+    (lacking / "ai_edge_litert.py").write_text(f"raise {fault}")
     monkeypatch.setenv("PYTHONPATH", str(lacking))
     monkeypatch.chdir(tmp_path)
     assert main([*RUN, "state-machine", "--jobs", "1"]) == 2
     printed = capsys.readouterr().err
-    assert "the run stops with 0 of 1 trial done: the modalities landmarks and masks need MediaPipe" in printed
+    assert "the run stops with 0 of 1 trial done: the modalities landmarks and masks need ai-edge-litert" in printed
     assert message in printed
     assert not list(tmp_path.glob("r/*.h5"))
 

@@ -175,13 +175,43 @@ def test_a_failure_of_the_policy_ends_it(again: Callable[[TrialSpec], World], mo
     assert "policy/notes/0000/json" in recording.arrays
 
 
-@pytest.mark.parametrize("wrong", ["twice", "no card", "no reset"])
+@pytest.mark.parametrize("wrong", ["closed", "no card", "no reset", "look too early"])
 def test_calls_out_of_order_are_refused(again: Callable[[TrialSpec], World], wrong: str) -> None:
     with Episode(spec(), card=None if wrong == "no card" else BLIND, prepare=again) as episode:
-        if wrong == "twice":
-            episode.reset()
-        with pytest.raises(ConfigError, match=r"Episode\.(reset|step): "):
-            episode.step(Action()) if wrong == "no reset" else episode.reset()
+        if wrong == "closed":
+            episode.close()
+        calls = {"no reset": lambda: episode.step(Action()), "look too early": episode.look}
+        with pytest.raises(ConfigError, match=r"Episode\.(reset|step|look): "):
+            calls.get(wrong, episode.reset)()
+
+
+def test_the_tool_s_velocity_is_the_slope_of_its_pose(again: Callable[[TrialSpec], World]) -> None:
+    card = replace(BLIND, tool_velocity=True)
+    with Episode(spec(), card=card, prepare=again) as episode:
+        goal = episode.reset().pose_tcp_in_base.copy()
+        np.testing.assert_allclose(episode.look().velocity_tcp_in_base, 0, atol=1e-3)
+        goal[:3] += [0.05, 0.03, -0.02]
+        goal[3:] = quat_from_matrix(matrix_from_quat(goal[3:]) @ matrix_from_quat(np.array([0.98, 0.2, 0, 0])))
+        seen = [look for _ in range(20) if (look := episode.step(Action(pose_tcp_in_base=goal)).observation)]
+        compliance, impedance = episode.session.compliance, episode.protocol.impedance
+    pose, time_s = np.array([look.pose_tcp_in_base for look in seen]), [look.sim_time_s for look in seen]
+    moved = np.array([look.velocity_tcp_in_base for look in seen])
+    np.testing.assert_allclose(moved[1:-1, :3], np.gradient(pose[:, :3], time_s, axis=0)[1:-1], atol=4e-3)
+    assert np.abs(moved[:, :3]).max() > 0.05
+    # The rotation from each look to the one after the next, as a vector in base over the time between.
+    for before, now, after in zip(pose, moved[1:], pose[2:], strict=False):
+        turn = matrix_from_quat(after[3:]) @ matrix_from_quat(before[3:]).T
+        slope = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2 / 0.04
+        np.testing.assert_allclose(now[3:], slope, atol=0.05)
+    assert np.abs(moved[:, 3:]).max() > 0.2
+    assert compliance is not None
+    assert compliance.stiffness == (impedance.translational_n_m, impedance.rotational_nm_rad)
+    # What the session says of the damping is what the model has.
+    rows = [episode.simulation.model.actuator(f"impedance_{axis}") for axis in (0, 3)]
+    masses = compliance.effective_mass_kg, compliance.effective_inertia_kgm2
+    for row, stiffness, mass in zip(rows, compliance.stiffness, masses, strict=True):
+        assert row.gainprm[0] == stiffness
+        assert -row.biasprm[2] >= 2 * compliance.damping_ratio * np.sqrt(stiffness * mass) * (1 - 1e-12)
 
 
 @pytest.mark.parametrize("name", ACTION_SPACES)
@@ -194,7 +224,8 @@ def test_every_action_space_has_a_driver_that_fills_arrays_of_the_schema(
         episode.step(Action(), observe=False)
         episode.step(Action(done=True), observe=False)
         recording = episode.finish()
-    assert recording.header.control == card.control
+        assert (episode.session.compliance is None) == ACTION_SPACES[name].in_joints
+    assert (recording.header.control, recording.header.origin) == (card.control, "in-process")
     used = set(recording.arrays)
     assert {"actions/joint"} & used == ({"actions/joint"} if ACTION_SPACES[name].in_joints else set())
     # What no action used is not in the recording.
@@ -252,6 +283,7 @@ def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> N
 
 FIELDS = {
     "cartesian_pose": ("pose_tcp_in_base", "stiffness", "damping_ratio", "wrench_in_tcp"),
+    "cartesian_delta": ("delta", "stiffness", "damping_ratio", "wrench_in_tcp"),
     "joint_position": ("joint",),
     "droid_joint_velocity": ("joint",),
 }
@@ -290,6 +322,9 @@ class Draws:
         far = [self.number(a, b, zero=0.0) for a, b in zip(low, high, strict=True)]
         place = np.clip(near, low, high) if self.rng.random() < 0.7 else np.array(far)
         return np.concatenate([place, quat / np.linalg.norm(quat)])
+
+    def delta(self) -> np.ndarray:
+        return self.rng.uniform(-1.0, 1.0, 6) * self.number(0.0, 1.0)
 
     def stiffness(self) -> tuple[float, ...]:
         bounds = self.session.action_bounds

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from carecontact.episode.episode import Episode
-from carecontact.episode.log import MAX_LOSSLESS_FRAMES, MAX_NOTES, MAX_NOTES_BYTES, MAX_STEP_NOTES, SUMS, TrialLog
+from carecontact.episode.log import MAX_NOTES, MAX_NOTES_BYTES, MAX_STEP_NOTES, SUMS, TrialLog
+from carecontact.episode.looks import flags
 from carecontact.errors import PolicyError
 from carecontact.interface.action import Action
 from carecontact.interface.geometry import matrix_from_quat
@@ -20,6 +21,7 @@ from carecontact.interface.regions import STANDARD_REGIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording
+from carecontact.recording.pictures import MAX_FRAMES
 from carecontact.recording.schema import ARRAYS, SEGMENTS, dimensions
 from carecontact.sim.simulation import Samples
 
@@ -234,15 +236,23 @@ def test_the_frames_of_a_step_that_failed_are_no_observation(log: TrialLog) -> N
     assert len(arrays["policy/observation_time_s"]) == 0
 
 
-def test_the_first_frames_are_kept_and_all_hashes(log: TrialLog) -> None:
+def test_the_first_frames_are_kept_as_they_are_and_the_later_ones_as_a_film(log: TrialLog) -> None:
     rgb = np.zeros((2, 3, 3), np.uint8)
-    count = MAX_LOSSLESS_FRAMES // 2 + 5
+    count = MAX_FRAMES // 2 + 5
     for k in range(count):
         log.add_observation(observation(k / 10, rgb=rgb), sha(str(k)))
     arrays = log.arrays()
     kept = sorted({p.split("/")[2] for p in arrays if p.startswith("policy/frames/")})
-    assert kept == [f"{k:04d}" for k in range(MAX_LOSSLESS_FRAMES // 2)]
+    assert kept == [f"{k:04d}" for k in range(MAX_FRAMES // 2)]
+    for camera in ("overhead", "wrist"):
+        filmed = arrays[f"policy/film/{camera}/rgb/observation_index"]
+        assert filmed.tolist() == list(range(MAX_FRAMES // 2, count))
     assert len(arrays["policy/observation_sha256"]) == count
+
+
+def test_which_cameras_took_a_view_is_kept_only_where_one_has_a_rate(log: TrialLog) -> None:
+    log.add_observation(observation(0.0), sha("0"), looked=flags(["wrist"]))
+    assert log.arrays()["policy/looked"].tolist() == [[0, 0, 0, 1]]
 
 
 def test_notes_are_kept_beside_their_observation(log: TrialLog) -> None:

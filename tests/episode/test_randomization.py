@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from carecontact.audit.salt import OF_THE_WORLD, drawn_again
 from carecontact.episode import randomization as episode_randomization
 from carecontact.episode.episode import Episode
 from carecontact.episode.log import PersonLog
@@ -23,15 +24,18 @@ from carecontact.human.soft_region import draw_tissue
 from carecontact.interface.action import Action
 from carecontact.interface.geometry import pose_matrix
 from carecontact.interface.policy import CAMERAS, PolicyCard
+from carecontact.interface.robot import PANDA
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.person import Alive, Breathing
 from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.protocol.sections import ArmErrors
+from carecontact.recording import Recording
 from carecontact.scoring.validity import check_finite_streams
 from carecontact.sensing.calibration import BELIEVED, TRUE
 from carecontact.tissue.plugin import Law
 from carecontact.world import randomization
-from carecontact.world.randomization import STREAMS, posture_of
+from carecontact.world.randomization import STREAMS, arm_bias_of, posture_of
 
 SHIPPED = load_protocol("bathing-v3-draft")
 PROTOCOL = SHIPPED.model_copy(update={"randomization": SHIPPED.randomization.model_copy(update={"drawn_as": ""})})
@@ -103,7 +107,7 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 32, 4)]
     made = streams(PROTOCOL, 3, "")
     names = "comfort_arm appearance sensor_noise policy light place breathing repositioning withdrawal calibration"
-    assert tuple(made) == STREAMS == (*names.split(), *"tissue body pose park camera bed_height".split())
+    assert tuple(made) == STREAMS == (*names.split(), *"tissue body pose park camera bed_height arm foam".split())
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
         np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))
@@ -259,3 +263,20 @@ def test_a_policy_gets_the_believed_pose_and_the_recording_keeps_both(
                 np.testing.assert_allclose(pose, cameras[name].pose_camera_in_base, atol=1e-12)
             else:
                 assert np.isnan(row).all()
+
+
+def test_a_policy_learns_the_size_of_the_arms_errors_and_the_recording_alone_what_was_drawn() -> None:
+    spec = TrialSpec(
+        protocol=SHIPPED.model_copy(update={"arm_errors": ArmErrors()}), task_id="T1", seed=3, policy="synthetic"
+    )
+    with Episode(spec, card=PolicyCard(name="synthetic", cameras=())) as episode:
+        session = episode.session
+        episode.reset()
+        episode.step(Action(done=True))
+        recording = episode.finish()
+    assert (session.force_bias_n, session.joint_friction_nm) == (1.0, PANDA.friction_nm)
+    assert recording.header.drawn["force_bias_n"] == arm_bias_of(spec.protocol, 3, "").tolist()
+    assert list(drawn_again(recording, ""))[1] == (OF_THE_WORLD, True)
+    other = recording.header.drawn | {"force_bias_n": [0.0, 0.0, 0.0]}
+    changed = Recording(header=recording.header.model_copy(update={"drawn": other}), arrays=recording.arrays)
+    assert list(drawn_again(changed, ""))[1] == (OF_THE_WORLD, False)

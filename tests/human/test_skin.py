@@ -7,7 +7,6 @@ from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
-import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from carecontact.human.body import Body
 from carecontact.human.library import load_body
 from carecontact.human.skeleton import body_name
 from carecontact.human.skin import TEXTURE_SIZE, Appearance, baked_texture, paint
+from carecontact.pictures import png
 from carecontact.world.scene import Scene
 from tests.human.conftest import SOME_QUICK
 
@@ -55,7 +55,7 @@ def test_texture_loads_in_rgb(body: Body) -> None:
     assert 0.01 < on_cloth.mean() < 0.2
 
 
-SMALL = cv2.imencode(".png", np.zeros((64, 64, 3), np.uint8))[1].tobytes()
+SMALL = png(np.zeros((64, 64, 3), np.uint8))
 
 
 @pytest.mark.parametrize(

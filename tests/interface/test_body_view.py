@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 
 from carecontact.errors import ContractError
 from carecontact.interface.body_view import (
+    COLUMN_RADIUS_M,
     HALF_SCRUB_M,
     LANDMARK,
     MIN_REGION_M,
     PerceptionFailure,
+    _around,
+    _column,
     free_from,
     joint_centre,
     region_from_observation,
@@ -206,3 +209,16 @@ def test_a_forearm_has_no_trunk_beside_it() -> None:
     sight = REGIONS["forearm"].sight
     assert isinstance(sight, LimbSight)
     assert free_from(sight, person(0.33, 0.20), START, END) == 0.0
+
+
+def test_a_column_over_a_line_is_that_of_the_points_around_the_line() -> None:
+    """Points that no column can hold are left out before, which must change no bit."""
+    rng = np.random.default_rng(0)
+    person = rng.uniform([0.2, -0.3, 0.0], [0.8, 0.3, 0.3], (20_000, 3))
+    for _ in range(20):
+        start, end = rng.uniform([0.3, -0.2, 0.0], [0.7, 0.2, 0.1], (2, 3))
+        near = _around(person, start, end, COLUMN_RADIUS_M)
+        assert 0 < len(near) < len(person)
+        for share in np.linspace(0, 1, 11):
+            place = start + share * (end - start)
+            np.testing.assert_equal(_column(near, place), _column(person, place))

@@ -19,9 +19,10 @@ from carecontact.interface.robot import EMBODIMENTS, PANDA, Robot, Session
 from carecontact.protocol.load import load_levels, load_protocol, shipped_protocols
 from carecontact.world.robot import arrays_of
 
-VISIBLE = set("instruction sim_time_s joint_position joint_velocity gripper_position pose_tcp_in_base cameras".split())
+VISIBLE = {"instruction", "sim_time_s", "joint_position", "joint_velocity", "gripper_position", "pose_tcp_in_base"}
+VISIBLE |= {"velocity_tcp_in_base", "cameras"}
 VISIBLE_IN_A_CAMERA = set(
-    "intrinsics pose_camera_in_base rgb depth points point_colors masks landmarks landmarks_in_base".split()
+    "intrinsics pose_camera_in_base rgb depth points point_colors masks landmarks landmarks_in_base sim_time_s".split()
 )
 
 
@@ -61,6 +62,8 @@ def test_observations_are_frozen_and_share_no_dictionary() -> None:
 NAMES_THE_PANDA = {
     "interface/robot.py": "describes it, and cites the file of DROID's robots from which gains come",
     "interface/action_spaces.py": "cites the same file for a limit",
+    "sensing/builder.py": "cites what its measured speeds are derived from",
+    "serving/cartesian.py": "cites a file of LIBERO's robots",
     "serving/openpi.py": "DROID's messages give the flange of its robot",
     "policies/motion.py": "the shipped policies keep its tool clear of the person",
     "policies/state_machine.py": "the shipped policies know how far it reaches",
@@ -119,7 +122,7 @@ def test_a_card_may_ask_for_everything() -> None:
         ({"language_backend": None}, "PolicyCard.language_backend: expected 1 to 200 printable characters, got None"),
         (
             {"action_space": "joints"},
-            "action_space: expected one of cartesian_pose, droid_joint_velocity, joint_position, got 'joints'",
+            "action_space: expected one of cartesian_delta, cartesian_pose, droid_joint_velocity, joint_position, got",
         ),
         (
             {"action_space": "joint_position"},
@@ -166,7 +169,8 @@ def test_a_card_at_its_defaults_is_written_as_it_always_was() -> None:
 
 def test_a_session_says_nothing_about_the_trial() -> None:
     assert {f.name for f in fields(Session)} == {
-        *("action_bounds", "joint_low_rad", "joint_high_rad", "camera_sizes_px", "time_limit_s")
+        *("action_bounds", "joint_low_rad", "joint_high_rad", "camera_sizes_px", "time_limit_s", "compliance"),
+        *("force_bias_n", "joint_friction_nm"),
     }
 
 
@@ -283,7 +287,7 @@ def test_the_address_of_a_dialect_has_a_path_and_options(
         ("openpi://host:80?exterior=2", "exterior: expected 0 or 1"),
         ("openpi://host:80?exterior=1&exterior=0", "expected each option once"),
         ("roboarena://host:80?horizon=8", "no option named 'horizon'; valid: exterior"),
-        ("vla-eval://host:80?profile=x", "no option named 'profile'; valid: space"),
+        ("vla-eval://host:80?horizon=8", "no option named 'horizon'; valid: space"),
         ("openpi://:secret@host:80", "a key never stands in the address; put it into CARECONTACT_API_KEY"),
         ("openpi://secret@host:80", "a key never stands in the address; put it into CARECONTACT_API_KEY"),
         ("opnpi://host:80", r"other schemes: openpi, roboarena, vla-eval \(did you mean 'openpi'\?\)"),

@@ -20,6 +20,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import canonical_hash
 from carecontact.running.trial import run_trial
+from carecontact.scoring import score_recording
 from carecontact.serving.arguments import ArgumentError, bind, load_factory, parameters_of
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.process import PolicyProcess
@@ -164,3 +165,20 @@ def test_press_deeper_lowers_the_state_machines_targets_and_nothing_else(monkeyp
     np.testing.assert_allclose(np.delete(lowered, 2, axis=1), 0, atol=1e-12)
     assert end.done
     assert policy.card.name == "press-deeper"
+
+
+def test_look_and_press_looks_twice_and_presses_with_three_newtons_between() -> None:
+    """In its own process, over the wire."""
+    source = (EXAMPLES / "look_and_press.py").read_text()
+    assert len(source.splitlines()) < 80
+    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="look_and_press:LookAndPress")
+    recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(EXAMPLES)]))
+    assert recording.header.ended == "done", recording.header.failure
+    assert score_recording(recording).safety_gated
+    looked = np.flatnonzero(recording["policy/looked"].any(axis=1))
+    assert looked.tolist() == [0, len(recording["policy/looked"]) - 1]
+    assert recording["wall/renders"].tolist() == [2, 2, 2, 1, 2], "the empty cell is drawn once"
+    force = np.linalg.norm(recording["scorer/force_human_from_robot_in_world"], axis=2).sum(1)
+    touching = np.flatnonzero(force > 0.5)
+    assert np.median(force[touching]) == pytest.approx(3.0, abs=0.3)
+    assert recording["policy/observation_time_s"][looked[1]] > recording["scorer/time_s"][touching[-1]]

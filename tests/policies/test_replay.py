@@ -11,8 +11,10 @@ from carecontact.interface.action_spaces import check_action
 from carecontact.interface.geometry import pose_matrix
 from carecontact.interface.robot import ActionBounds
 from carecontact.policies.replay import Donor, Replay, ReplayRegistered, read_donors
+from carecontact.protocol.gates import Task
 from carecontact.protocol.load import load_protocol
 from tests.policies.synthetic import synthetic_observation, synthetic_view
+from tests.protocol.foamy import FOAMY
 
 PROTOCOL = load_protocol()
 
@@ -48,6 +50,16 @@ def test_a_shipped_donor_has_a_name_and_every_task(name) -> None:
 def test_an_unknown_instruction_lists_what_there_is() -> None:
     with pytest.raises(ContractError, match="gently touch the right forearm"):
         Replay().reset("dance")
+    with pytest.raises(ContractError, match="left forearm"):
+        Replay().reset("gently touch the left forearm")
+
+
+@pytest.mark.parametrize("task", FOAMY.tasks, ids=lambda task: task.id)
+def test_the_instruction_that_names_foam_gets_the_actions_of_the_plain_one(task: Task) -> None:
+    policies = Replay(), Replay()
+    for policy, prompt in zip(policies, (task.prompt, FOAMY.task(task.id).prompt), strict=True):
+        policy.reset(prompt)
+    np.testing.assert_array_equal(policies[0]._donor.actions, policies[1]._donor.actions)
 
 
 def test_registered_actions_keep_their_place_before_the_camera() -> None:

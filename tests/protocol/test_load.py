@@ -18,7 +18,7 @@ from carecontact.protocol.load import (
     toml_text,
 )
 from carecontact.protocol.overrides import load_tissue_set, overridden, without_overrides
-from tests.scoring.synthetic import GATES
+from tests.scoring.synthetic import GATES as EXAM_GATES
 
 TEXT = (resources.files(protocol) / f"{DEFAULT_PROTOCOL}.toml").read_text(encoding="utf-8")
 
@@ -241,7 +241,7 @@ def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:
 
 def test_another_set_of_gates_inherits_none(tmp_path: Path) -> None:
     found = load_protocol(written(tmp_path, INHERIT_HEAD + EXAM))
-    assert found.gates == GATES
+    assert found.gates == EXAM_GATES
     short = INHERIT_HEAD + EXAM.replace("duration_s = 1.0", "", 1)
     with pytest.raises(ConfigError, match=r"gates\.touch\.duration_s: missing"):
         load_protocol(written(tmp_path, short))

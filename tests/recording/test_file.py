@@ -298,6 +298,7 @@ def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
 PARTNERS = {
     "scorer/cell_area_m2": "scorer/cell_press_ns",
     "scorer/cell_in_region": "scorer/cell_press_ns",
+    "scorer/foam_cell_share": "scorer/cell_press_ns",
     "scorer/repositioning_s": "scorer/repositioning_rad",
     "scorer/repositioning_rad": "scorer/repositioning_s",
 }

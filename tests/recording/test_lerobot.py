@@ -19,6 +19,7 @@ from carecontact.cli import main
 from carecontact.errors import RecordingError
 from carecontact.recording import Recording, write_recording
 from carecontact.recording.lerobot import episode_of
+from carecontact.recording.pictures import MAX_FRAMES, PictureLog, Pictures
 from carecontact.runs import score_run, write_scores
 from tests.scoring.synthetic import make_recording, push, touch
 
@@ -225,6 +226,51 @@ def test_the_state_is_the_tools_pose_in_the_robots_base() -> None:
     assert np.allclose(np.abs(quat), [0, 0, 0, 1], atol=1e-6)
 
 
+def looked(recording: Recording, *, actions: int = 150) -> Recording:
+    """The recording as of a policy that chose each action after an observation of its own, at 10 Hz: the overhead
+    camera took a view for each but every third, that of the wrist for each tenth."""
+    rng, log = np.random.default_rng(0), PictureLog()
+    arrays: dict[str, Any] = dict(seen(recording, actions=actions).arrays)
+    arrays = {path: array for path, array in arrays.items() if not path.startswith("policy/frames/")}
+    times = 0.1 * np.arange(actions)
+    arrays |= {"policy/observation_time_s": times, "actions/time_s": times + 0.02}
+    arrays["policy/observation_sha256"] = np.zeros((actions, 32), np.uint8)
+    arrays["actions/observation_index"] = np.arange(actions, dtype=np.int32)
+    arrays["policy/looked"] = np.zeros((actions, 4), np.uint8)
+    for k in range(actions):
+        for column, camera, new in ((0, "overhead", k % 3 != 2), (3, "wrist", k % 10 == 0)):
+            if new:
+                arrays["policy/looked"][k, column] = 1
+                log.add(k, camera, "rgb", rng.integers(0, 256, (6, 8, 3), np.uint8))
+    card = {"name": "p", "cameras": ["overhead", "wrist"], "modalities": ["rgb"], "control_hz": 10.0}
+    card["camera_hz"] = {"overhead": 7.0, "wrist": 1.0}
+    header = recording.header.model_copy(update={"card": card})
+    return Recording(header=header, arrays=arrays | log.arrays())
+
+
+def test_a_long_episode_is_exported_whole_with_the_last_view_of_each_camera_and_its_age(run: Path) -> None:
+    recording = looked(touch(seed=0))
+    pictures = Pictures(recording)
+    assert len(pictures) == 100 + 15 > MAX_FRAMES
+    write_recording(recording, run / "run" / "T1-s000.h5")
+    (run / "run" / "T2-s000.h5").unlink()
+    assert main(["export", "lerobot", "run", "--out", "d"]) == 0
+    table = parquet.read_table("d/data/chunk-000/file-000.parquet")
+    assert len(table) == 150
+    last = {"overhead": [k - (k % 3 == 2) for k in range(150)], "wrist": [k - k % 10 for k in range(150)]}
+    for camera, indices in last.items():
+        for row, index in zip(table[f"observation.images.{camera}"].to_pylist(), indices, strict=True):
+            assert (np.asarray(Image.open(io.BytesIO(row["bytes"]))) == pictures[index, camera, "rgb"]).all()
+    ages = np.array(table["observation.view_age_s"].to_pylist())
+    expected = 0.02 + 0.1 * (np.arange(150)[:, None] - np.array([last["overhead"], last["wrist"]]).T)
+    np.testing.assert_allclose(ages, expected, atol=1e-5)
+    info = json.loads(Path("d/meta/info.json").read_text())
+    assert info["features"]["observation.view_age_s"]["names"] == ["overhead", "wrist"]
+    # A view is new where it is as old as its observation.
+    new = ages == np.array(table["observation.age_s"].to_pylist())[:, None]
+    assert (new == recording["policy/looked"][:, [0, 3]]).all()
+
+
 def test_noisy_encoders_are_not_exported_without_their_noise() -> None:
     recording = seen(touch(seed=0))
     spec = recording.header.spec
@@ -285,7 +331,7 @@ def test_lerobots_own_loader_and_tools_give_every_row_and_the_statistics_of_ever
         rows = slice(row, row + len(episode))
         for name, stream in episode.streams.items():
             assert (read[name][rows].reshape(stream.values.shape) == stream.values).all(), name
-        images = np.stack(episode.images["overhead"])[episode.shown]
+        images = np.stack(episode.images["overhead"])[episode.shown["overhead"]]
         got = read["observation.images.overhead"][rows].transpose(0, 2, 3, 1)
         assert (np.round(got * 255).astype(np.uint8) == images).all()
         row += len(episode)

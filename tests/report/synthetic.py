@@ -175,7 +175,7 @@ def make_recording(
         human_joints=JOINTS,
         pose_base_in_world=[-0.22, 0.62, 0.62, 1.0, 0.0, 0.0, 0.0],
         identity=DECLARED,
-        versions={"carecontact": "0.1.0", "mujoco": "4.0.0", "numpy": "2.4.0", "mediapipe": "0.10.21"},
+        versions={"carecontact": "0.1.0", "mujoco": "4.0.0", "numpy": "2.4.0", "ai-edge-litert": "2.3.0"},
         sha256={"model": f"{seed:02x}" * 32, "body": "ab" * 32, "robot": "cd" * 32},
         solver_warnings=[],
     )

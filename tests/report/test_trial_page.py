@@ -12,7 +12,7 @@ from carecontact.cli.publish import policies_beside
 from carecontact.errors import RecordingError
 from carecontact.interface.policy import PolicyCard
 from carecontact.recording.schema import Failure, Recording
-from carecontact.report.looks import card_rows, sent_views
+from carecontact.report.looks import card_rows, looks_of, sent_views
 from carecontact.report.run_page import render
 from carecontact.report.skin_view import FOOT, noted_targets, paths
 from carecontact.report.timeline import Event, events
@@ -397,3 +397,22 @@ def test_what_the_page_does_not_show_is_named() -> None:
     assert note(replace(whole, arrays=bare)) == "2 further pictures of later looks were not stored."
     more = with_card({**plain, "modalities": ["rgb", "points", "masks", "landmarks"]}, **images)
     assert note(more).startswith("The policy was also sent points, masks, landmarks at each look; a recording keeps")
+
+
+def test_a_page_of_looks_on_request_counts_and_shows_the_views_that_were_taken() -> None:
+    card = PolicyCard(name="p", modalities=("rgb",), cameras=("overhead", "wrist"), camera_hz={"wrist": 0.5})
+    times = np.array([0.0, 0.1, 0.2])
+    places = ("0000/overhead", "0000/wrist", "0002/overhead")
+    taken = {f"policy/frames/{place}/rgb": np.zeros((2, 2, 3), np.uint8) for place in places}
+    looked = np.array([[1, 0, 0, 1], [0, 0, 0, 0], [1, 0, 0, 0]], np.uint8)
+    arrays = {"policy/observation_time_s": times, "policy/observation_sha256": np.zeros((3, 32), np.uint8)}
+    shown = with_card(card.plain(), **arrays, **taken, **{"policy/looked": looked})
+    kept = {path: a for path, a in shown.arrays.items() if path in taken or not path.startswith("policy/frames/")}
+    recording = replace(shown, arrays=kept)
+    assert dict(card_rows(recording.header))["Cameras"] == "overhead, wrist at 0.5 Hz: rgb"
+    assert sent_views(recording)["lost"] == 0
+    looks, left_out = looks_of(recording, [])
+    assert [[picture.name for picture in look.pictures] for look in looks] == [
+        ["overhead, rgb", "wrist, rgb"], [], ["overhead, rgb"],
+    ]  # fmt: skip
+    assert left_out == 0

@@ -184,10 +184,9 @@ def test_the_opposite_polarity_is_named(checked: Checked) -> None:
 
     _, out = checked(Opposite(), VELOCITY)
     assert (
-        "hint     gripper      the observation says that the gripper is closed (1), and the server commands an open"
-        in out
+        "hint     gripper      the observation says that the gripper is closed, and the server commands an open" in out
     )
-    assert "warning  gripper      where the gripper is observed as closed (1), the server commands an" in out
+    assert "warning  gripper      where the gripper is observed as closed, the server commands an open one (0)" in out
 
 
 def test_a_server_that_refuses_a_blanked_input_uses_it(checked: Checked) -> None:

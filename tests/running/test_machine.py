@@ -201,7 +201,7 @@ def test_shipped_assets_match_their_provenance() -> None:
     assert finding.fine
     names = finding.detail.split(", ")
     assert {"bodies/man-adult.npz", "bodies/man-adult.skin.png", "bodies/woman-old-heavy.npz"} < set(names)
-    assert names[-1] == "panda/panda.npz"
+    assert names[-1] == "pose/pose_landmark_full.tflite"
 
 
 def test_the_compiled_tissue_loads_and_says_what_it_is() -> None:

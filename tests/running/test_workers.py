@@ -17,11 +17,12 @@ import pytest
 import carecontact
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
-from carecontact.recording import canonical_hash, read_recording
+from carecontact.recording import canonical_hash, read_header, read_recording
 from carecontact.running.engine import StatusPipe, TrialRequest
 from carecontact.running.workers import ForkedProcess, Launcher, Process, is_stopped
 from carecontact.serving.conversation import PolicySetup
 from tests.processes import described
+from tests.serving.served import served
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="nothing is forked on this system")
 PATIENCE_S = 60.0
@@ -79,6 +80,20 @@ def test_a_forked_trial_is_that_of_a_program_and_knows_nothing_of_the_one_before
     assert isinstance(process, subprocess.Popen)
     assert process.wait() == 0
     assert canonical_hash(read_recording(alone)) == first
+    assert {read_header(out).origin for out in (*outs, alone)} == {"isolated"}
+
+
+def test_a_worker_says_that_a_policy_is_served_elsewhere(launcher: Launcher, tmp_path: Path) -> None:
+    source = """
+        class P:
+            card = PolicyCard(name="at once", cameras=())
+            def reset(self, instruction): pass
+            def act(self, observation): return Action(done=True)
+    """
+    with served(source, tmp_path) as (port, _):
+        process, _ = start(launcher, out := tmp_path / "served.h5", policy=f"ws://127.0.0.1:{port}")
+        assert process.wait() == 0, out.with_suffix(".log").read_text()
+    assert read_header(out).origin == "served"
 
 
 def descriptors(pid: int) -> set[str]:

@@ -179,7 +179,7 @@ def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock)
     [
         ({"protocol_sha256": "0" * 64}, "protocol sha256: locked 000000000000"),
         ({"embodiment": "other-arm"}, "embodiment: locked other-arm"),
-        ({"versions": {"mujoco": "3.0.0", "mediapipe": "0.10.21"}}, "version of mujoco: locked 3.0.0"),
+        ({"versions": {"mujoco": "3.0.0", "ai-edge-litert": "2.3.0"}}, "version of mujoco: locked 3.0.0"),
         ({"assets": {}}, "asset bodies/man-adult.npz: locked none"),
         ({"assets": {}}, "asset kernel/c: locked none"),
         ({"fields": {}}, "physics: locked null"),
@@ -245,7 +245,7 @@ def test_a_shipped_protocol_with_its_lock_runs_here(shipped: Protocol) -> None:
     ("change", "message"),
     [
         (lambda lock: {"versions": lock.versions | {"mujoco": "4.0.1"}}, "version of mujoco: locked 4.0.0, here 4.0.1"),
-        (lambda lock: {"versions": lock.versions | {"mediapipe": "not installed"}}, "here not installed"),
+        (lambda lock: {"versions": lock.versions | {"ai-edge-litert": "not installed"}}, "here not installed"),
         (lambda lock: {"assets": lock.assets | {"panda/panda.npz": "0" * 64}}, "here 000000000000"),
         (lambda lock: {"assets": {}}, "asset bodies/man-adult.skin.png: locked"),
     ],

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.interface.regions import REGIONS
+from carecontact.protocol.gates import Gates
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_arrays
@@ -188,9 +191,11 @@ def before_start(ended: str = "process_failure") -> Recording:
     return writable(Recording(header=header, arrays=empty_arrays(len(JOINTS))))
 
 
-# The paper's protocol under exam.
+# The paper's protocol under the exam's gates of each action; test_conduct has those of the whole trial.
 
 GATES = load_protocol("bathing-wide-v2-draft", level="L0").gates
+CONDUCT = tomllib.loads((Path(__file__).parents[1] / "data" / "conduct.toml").read_text())
+EXAM = Gates.model_validate(GATES.model_dump(mode="json") | {"conduct": CONDUCT})
 TABLE = GATES.model_dump(mode="json")
 
 

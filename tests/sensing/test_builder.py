@@ -16,6 +16,7 @@ from carecontact.protocol.sections import Variation
 from carecontact.sensing.builder import (
     ALLOWED,
     ALLOWED_IN_VIEW,
+    SPEED_PER_ANGLE,
     ObservationBuilder,
     RawView,
     SensorNoise,
@@ -197,7 +198,8 @@ def test_a_missing_image_is_an_error() -> None:
 
 def test_the_allowlist_is_the_contract() -> None:
     assert {f.name for f in fields(Observation)} == ALLOWED
-    assert {f.name for f in fields(CameraView)} == ALLOWED_IN_VIEW
+    # An observation gives each view its time, so that no builder can give it another.
+    assert {f.name for f in fields(CameraView)} - {"sim_time_s"} == ALLOWED_IN_VIEW
 
 
 @pytest.mark.parametrize("key", ["contact_force", "seed", "human_joint_position", "qpos"])
@@ -337,10 +339,25 @@ def test_encoders() -> None:
     read = np.array([noise.joint_position(angles, sim_time_s=k * 0.002) - angles for k in range(500)])
     assert read.std() == pytest.approx(0.003, rel=0.05)
     np.testing.assert_array_equal(noise.joint_position(angles, sim_time_s=0.002) - angles, read[1])
+    moving = np.array([noise.joint_velocity(angles, sim_time_s=k * 0.002) - angles for k in range(500)])
+    assert moving.std() == pytest.approx(0.003 * SPEED_PER_ANGLE, rel=0.05)
+    assert abs(np.corrcoef(read.ravel(), moving.ravel())[0, 1]) < 0.05
+    np.testing.assert_array_equal(noise.joint_velocity(angles, sim_time_s=0.002) - angles, moving[1])
+
+
+def test_the_speed_s_noise_is_that_of_a_slope_behind_a_low_pass() -> None:
+    """White noise on angles that are read a thousand times a second, as a controller would make a speed of it."""
+    angle, cutoff, read_hz = np.random.default_rng(0).standard_normal(100_000), SPEED_PER_ANGLE, 1000.0
+    smooth = np.zeros_like(angle)
+    for k in range(1, len(angle)):
+        smooth[k] = smooth[k - 1] + cutoff / read_hz * (angle[k] - smooth[k - 1])
+    speed = cutoff * (angle - smooth)
+    assert speed[1000:].std() == pytest.approx(SPEED_PER_ANGLE, rel=0.05)
 
 
 def test_off_is_untouched() -> None:
     noise, depth, angles = SensorNoise(Variation(), key=(), dt_s=0.002), wall(2.0), np.arange(7.0)
     assert noise.depth(depth, SENSOR_NOISE_INTRINSICS, camera="overhead", sim_time_s=0.0) is depth
     assert noise.joint_position(angles, sim_time_s=0.0) is angles
+    assert noise.joint_velocity(angles, sim_time_s=0.0) is angles
     assert not noise.on_encoders

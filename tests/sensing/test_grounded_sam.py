@@ -10,9 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
 from carecontact.episode.episode import first_look
 from carecontact.errors import ConfigError, DependencyError, ObservationError
@@ -21,7 +21,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.sensing import grounded_sam
 from carecontact.sensing.grounded_sam import MODELS, GroundedSam, weights_sha256
-from carecontact.sensing.keypoints import MediaPipePose
+from carecontact.sensing.keypoints import PoseEstimator
 from carecontact.sensing.segmentation import PERSON_PROBABILITY
 from tests.sensing.tiny_models import save_tiny_models
 
@@ -145,10 +145,10 @@ def test_it_makes_the_masks_of_an_observation(weights: Path, monkeypatch: pytest
     view = first_look(protocol, task_id="T1", seed=0, card=card, weights=weights).cameras["overhead"]
     assert view.rgb is not None
     assert view.masks is not None
-    outlined = cv2.dilate(GroundedSam(weights).person(view.rgb), np.ones((11, 11))) > 0
+    outlined = binary_dilation(GroundedSam(weights).person(view.rgb) > 0, np.ones((11, 11)))
     assert view.masks["human"].any()
     assert not (view.masks["human"] & ~outlined).any()
-    default = MediaPipePose().estimate(view.rgb).person > PERSON_PROBABILITY
+    default = PoseEstimator().estimate(view.rgb).person > PERSON_PROBABILITY
     assert (default & ~outlined).any(), "the default's mask differs from it"
 
 

@@ -1,11 +1,8 @@
 from __future__ import annotations
 
 import copy
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -19,8 +16,9 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import PANDA
 from carecontact.protocol.load import load_protocol
 from carecontact.recording.notes import ARRAYS, JOINTS
+from carecontact.sensing.blazepose import LANDMARK_COUNT, Found
 from carecontact.sensing.builder import ObservationBuilder
-from carecontact.sensing.keypoints import LANDMARK_COUNT, MediaPipePose, no_person, unrotate
+from carecontact.sensing.keypoints import PoseEstimator, no_person, unrotate
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.room import FURNITURE_GROUP, SUPPORT
@@ -35,31 +33,27 @@ def test_unrotate_finds_the_marked_pixel(turns: int) -> None:
     np.testing.assert_array_equal(unrotate(np.array([[u, v]], float), turns, 5, 9), [[6, 1]])
 
 
-class OnePixelGraph:
-    """Stands for MediaPipe: puts every landmark on the brightest pixel and calls bright pixels a person."""
+class OnePixelPose:
+    """Stands for BlazePose: puts every landmark on the brightest pixel and calls bright pixels a person."""
 
     def __init__(self, *, blind_below_px: int = 0) -> None:
         self.blind_below_px = blind_below_px
         self.sizes: list[tuple[int, int]] = []
 
-    def process(self, rgb: np.ndarray) -> SimpleNamespace:
+    def find(self, rgb: np.ndarray) -> Found | None:
         height, width = rgb.shape[:2]
         self.sizes.append((height, width))
         if rgb.max() == 0 or min(height, width) < self.blind_below_px:
-            return SimpleNamespace(pose_landmarks=None, segmentation_mask=None)
-        marks = []
-        for k in range(LANDMARK_COUNT):
-            spots = np.argwhere(rgb[..., 0] > 100)
-            v, u = spots[k % len(spots)]
-            marks.append(SimpleNamespace(x=(u + 0.5) / width, y=(v + 0.5) / height, visibility=0.9))
-        return SimpleNamespace(
-            pose_landmarks=SimpleNamespace(landmark=marks), segmentation_mask=(rgb[..., 0] > 100).astype(np.float32)
-        )
+            return None
+        spots = np.argwhere(rgb[..., 0] > 100)
+        uv = spots[np.arange(LANDMARK_COUNT) % len(spots), ::-1] + 0.5
+        mask = (rgb[..., 0] > 100).astype(np.float32)
+        return Found(uv=uv, visibility=np.full(LANDMARK_COUNT, 0.9, np.float32), mask=mask)
 
 
-def estimator(graph: OnePixelGraph) -> MediaPipePose:
-    made = MediaPipePose()
-    made._graph = graph
+def estimator(pose: OnePixelPose) -> PoseEstimator:
+    made = PoseEstimator()
+    made._pose = pose  # pyright: ignore[reportAttributeAccessIssue]
     return made
 
 
@@ -70,45 +64,27 @@ def spot_image() -> np.ndarray:
 
 
 def test_votes_and_crop_map_back_to_the_image() -> None:
-    graph = OnePixelGraph()
-    found = estimator(graph).estimate(spot_image())
+    pose = OnePixelPose()
+    found = estimator(pose).estimate(spot_image())
     np.testing.assert_allclose(found.landmarks, np.tile([50, 20, 0.9], (LANDMARK_COUNT, 1)), atol=1e-4)
     assert np.argwhere(found.person > 0.5).tolist() == [[20, 50]]
-    assert len(graph.sizes) == 6
+    assert len(pose.sizes) == 6
 
 
 def test_a_failed_second_pass_keeps_the_first() -> None:
-    graph = OnePixelGraph(blind_below_px=30)
-    found = estimator(graph).estimate(spot_image())
+    pose = OnePixelPose(blind_below_px=30)
+    found = estimator(pose).estimate(spot_image())
     np.testing.assert_allclose(found.landmarks[0], [50, 20, 0.9], atol=1e-4)
 
 
 def test_no_person() -> None:
-    found = estimator(OnePixelGraph()).estimate(np.zeros((60, 80, 3), np.uint8))
+    found = estimator(OnePixelPose()).estimate(np.zeros((60, 80, 3), np.uint8))
     assert np.isnan(found.landmarks).all()
     assert not found.person.any()
     assert no_person(4, 5).person.shape == (4, 5)
 
 
-def test_what_an_estimate_does_not_need_is_not_imported_and_can_be_afterwards() -> None:
-    program = """
-import sys
-import numpy as np
-from carecontact.sensing.keypoints import MediaPipePose
-found = MediaPipePose().estimate(np.zeros((64, 64, 3), np.uint8))
-assert np.isnan(found.landmarks).all()
-needless = ("matplotlib", "mediapipe.tasks", "sounddevice")
-assert "mediapipe" in sys.modules and not any(name.startswith(needless) for name in sys.modules)
-from mediapipe.tasks.python import vision
-assert vision.PoseLandmarker
-from matplotlib import pyplot
-pyplot.figure()
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
-# The default estimator on the rendered person: the one test that runs MediaPipe and the real scene.
+# The default estimator on the rendered person: the one test that runs the networks and the real scene.
 
 ARM = {"right shoulder": "right_upper_arm", "right elbow": "right_forearm", "right wrist": "right_hand"}
 
@@ -120,11 +96,9 @@ def seen() -> Iterator[tuple[Simulation, SceneRenderer, Observation]]:
     simulation.settle(52.5)
     mujoco.mj_forward(simulation.model, simulation.data)
     card = PolicyCard(name="test", modalities=("rgb", "depth", "points", "masks", "landmarks"))
-    keypoints = MediaPipePose()
     with SceneRenderer(simulation.model, protocol=protocol) as renderer:
-        builder = ObservationBuilder(renderer, card, protocol, keypoints)
+        builder = ObservationBuilder(renderer, card, protocol, PoseEstimator())
         yield simulation, renderer, builder.build(simulation.data, instruction="", sim_time_s=0.0)
-    keypoints.close()
 
 
 def test_right_arm_key_points(seen: tuple[Simulation, SceneRenderer, Observation]) -> None:

@@ -215,7 +215,6 @@ def test_a_recording_names_what_the_segmenter_runs_on() -> None:
         "torch",
         "transformers",
         "tokenizers",
-        "pillow",
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import re
 import shutil
 import socket
@@ -10,6 +11,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,3 +151,31 @@ def test_the_client_package_installs_with_either_numpy(tmp_path: Path, numpy: st
     )
     done = run([python, "-I", "-c", script], capture_output=True, text=True)
     assert done.stdout.startswith("1." if "<" in numpy else "2.")
+
+
+def test_the_client_holds_the_last_view_of_each_camera_and_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(CLIENT))
+    client = importlib.import_module("carecontact_client")
+    shown: list[dict[str, Any]] = []
+
+    class Holds:
+        def reset(self, instruction: str, session: object) -> None: ...
+
+        def act(self, observation: dict[str, Any]) -> dict[str, Any]:
+            shown.append(observation["cameras"])
+            return {"look": ["wrist"]}
+
+    views: dict[str, Any] = {}
+    looks = [(0.0, {"wrist": {"rgb": 1}, "overhead": {"rgb": 2}}), (0.1, {}), (0.2, {"wrist": {"rgb": 3}})]
+    for time_s, cameras in looks:
+        message = {"type": "act", "observation": {"sim_time_s": time_s, "cameras": cameras}}
+        answer = client._answer(Holds(), message, views)
+        assert answer["actions"] == [{"look": ["wrist"]}]
+    overhead, wrist = {"rgb": 2, "sim_time_s": 0.0}, {"rgb": 1, "sim_time_s": 0.0}
+    assert shown == [
+        {"wrist": wrist, "overhead": overhead},
+        {"wrist": wrist, "overhead": overhead},
+        {"wrist": {"rgb": 3, "sim_time_s": 0.2}, "overhead": overhead},
+    ]
+    client._answer(Holds(), {"type": "reset", "instruction": "", "session": {}}, views)
+    assert views == {}

@@ -27,7 +27,7 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.serving.client import Client
 from carecontact.serving.connection import Connection
 from carecontact.serving.dialect import announced_profile, named_profile
-from carecontact.serving.dialect_media import cropped_16_9, padded, stretched
+from carecontact.serving.dialect_media import cropped, padded, stretched
 from carecontact.serving.openpi import OpenpiClient
 from carecontact.serving.packing import pack
 from carecontact.serving.vla_eval import VlaEvalClient
@@ -177,7 +177,7 @@ def test_a_picture_of_16_9_is_centred_on_black() -> None:
 )
 def test_cutting_keeps_the_middle(given: tuple[int, int], rows: slice, columns: slice) -> None:
     image = picture(*given)
-    np.testing.assert_array_equal(cropped_16_9(image), image[rows, columns])
+    np.testing.assert_array_equal(cropped(image, (16, 9)), image[rows, columns])
 
 
 def test_roboarena_stretches_with_lanczos_by_way_of_its_captured_size() -> None:

@@ -25,7 +25,7 @@ from websockets.uri import parse_uri
 
 from carecontact.errors import ContractError, PolicyError
 from carecontact.interface.action import MAX_CHUNK, Action
-from carecontact.interface.observation import Observation
+from carecontact.interface.observation import LastViews, Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.serving.client import Client, PolicyClient
 from carecontact.serving.connection import Connection, Deadline
@@ -140,7 +140,7 @@ def harmless(heard: Heard) -> bool:
 def asks(frame: bytes) -> bool:
     """Whether the policy's server refuses a request; what it does not refuse, it answers."""
     try:
-        _answer(Silent(), frame)
+        _answer(Silent(), frame, LastViews())
     except ContractError as error:
         return bool(str(error))
     return False

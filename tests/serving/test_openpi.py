@@ -22,7 +22,7 @@ from carecontact.interface.geometry import quat_from_matrix
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import PANDA
 from carecontact.serving.conversation import PolicySetup
-from carecontact.serving.dialect_media import cropped_16_9, padded, stretched
+from carecontact.serving.dialect_media import cropped, padded, stretched
 from carecontact.serving.openpi import cartesian_position, digest, pack, unpack
 from carecontact.serving.packing import MAX_REPLY_BYTES
 from tests.policies.synthetic import SESSION
@@ -153,7 +153,7 @@ def test_roboarena_names_cameras_from_0_or_from_1_and_executes_all(first: int, s
         (f"exterior_image_{first + 1}_left", picture(482, 640)),
         ("wrist_image_left", picture(480, 640)),
     ):
-        np.testing.assert_array_equal(request[f"observation/{name}"], stretched(cropped_16_9(image), (224, 224)))
+        np.testing.assert_array_equal(request[f"observation/{name}"], stretched(cropped(image, (16, 9)), (224, 224)))
 
 
 def test_openpi_without_a_profile_takes_what_the_server_says_of_itself() -> None:

@@ -477,7 +477,7 @@ def test_what_reaches_the_process(launch: Launch, monkeypatch: pytest.MonkeyPatc
     assert found["path"][0] == str(tmp_path)
     assert not {"", "/nowhere"} & set(found["path"])
     assert "carecontact.interface.observation" in found["modules"]
-    heavy = {"mujoco", "pydantic", "scipy", "mediapipe", "carecontact.recording", "carecontact.protocol"}
+    heavy = {"mujoco", "pydantic", "scipy", "ai_edge_litert", "carecontact.recording", "carecontact.protocol"}
     assert not heavy & set(found["modules"])
 
 

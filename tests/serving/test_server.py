@@ -16,10 +16,11 @@ import pytest
 from carecontact.errors import PolicyError
 from carecontact.interface.action import MAX_CHUNK, Action
 from carecontact.interface.body_view import LANDMARK
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.observation import CameraView, LastViews, Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.load import load_protocol
-from carecontact.serving import codec
+from carecontact.serving import codec, server
+from carecontact.serving.codec import act_message
 from carecontact.serving.conversation import BUDGET_S
 from carecontact.serving.packing import (
     DTYPES,
@@ -32,7 +33,7 @@ from carecontact.serving.packing import (
 )
 from carecontact.serving.process import PolicyProcess
 from carecontact.serving.server import TRACEBACK_CHARS, traceback_text
-from tests.policies.synthetic import SESSION, synthetic_observation
+from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_view
 from tests.serving.conftest import Launch
 
 ROOT = Path(__file__).parents[2]
@@ -218,3 +219,34 @@ def test_bad_notes_are_the_policys_failure(launch: Launch, notes: str, kind: str
     with pytest.raises(PolicyError) as caught:
         act(process)
     assert caught.value.kind == kind
+
+
+def test_a_policy_is_given_the_last_view_of_each_camera_and_a_new_trial_begins_without_any() -> None:
+    shown: list[Observation] = []
+
+    class Holds:
+        card = PolicyCard(name="holds")
+
+        def reset(self, instruction: str) -> None: ...
+
+        def act(self, observation: Observation) -> Action:
+            shown.append(observation)
+            return Action(look=("wrist",))
+
+    policy, views = Holds(), LastViews()
+    looks = [(0.0, ("overhead", "wrist")), (0.1, ()), (0.2, ("wrist",))]
+    for time_s, cameras in looks:
+        taken = {name: synthetic_view() for name in cameras}
+        message = act_message(synthetic_observation(cameras=taken, sim_time_s=time_s))
+        reply = server._answer(policy, message, views)
+        assert reply is not None
+        assert codec.decode_actions(reply["actions"])[0].look == ("wrist",)
+    assert [seen.new for seen in shown] == [cameras for _, cameras in looks]
+    assert [{n: v.sim_time_s for n, v in seen.cameras.items()} for seen in shown] == [
+        {"overhead": 0.0, "wrist": 0.0},
+        {"overhead": 0.0, "wrist": 0.0},
+        {"overhead": 0.0, "wrist": 0.2},
+    ]
+    server._answer(policy, codec.reset_message("touch", SESSION), views)
+    server._answer(policy, act_message(synthetic_observation(cameras={})), views)
+    assert shown[-1].cameras == {}

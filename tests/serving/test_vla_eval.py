@@ -114,11 +114,17 @@ DELTAS = {
 }
 
 
+@pytest.mark.parametrize("parts", [DELTAS, {"gripper": DELTAS["gripper"]}, {"position": DELTAS["position"]}])
+def test_differences_of_the_pose_need_a_profile(parts: dict[str, object]) -> None:
+    says = r"differences of the tool's pose, .*: \?profile=libero or \?profile=bridge"
+    with VlaEval(payload=spec(**parts)).running() as port, pytest.raises(PolicyError, match=says):
+        talk(ADDRESS.format(port))
+
+
 @pytest.mark.parametrize("query", ["", "?space=joint_position", "?space=droid_joint_velocity"])
 @pytest.mark.parametrize(
     ("parts", "named"),
     [
-        (DELTAS, r"gripper \(1 of 'binary_close_positive'\), position \(3 of 'delta_xyz'\), rotation \(3 of"),
         ({"position": {"dims": 3, "format": "absolute_xyz"}}, r"position \(3 of 'absolute_xyz'\)"),
         ({"joints": {"dims": 7, "format": "joint_delta_pos"}}, r"joints \(7 of 'joint_delta_pos'\)"),
         ({"joints": {"dims": 14, "format": "joint_positions"}}, r"joints \(14 of 'joint_positions'\)"),
@@ -126,7 +132,6 @@ DELTAS = {
         ({"actions": {"dims": 14, "format": "raw"}}, r"actions \(14 of 'raw'\)"),
         ({"joints": {"dims": 7, "format": "joint_positions"}, "base_motion": {"dims": 4, "format": "raw"}}, "base_m"),
         ({"joints": 7}, "'joints'"),
-        ({"gripper": {"dims": 1, "format": "raw"}}, "gripper"),
     ],
 )
 def test_actions_that_no_space_executes_are_refused_and_no_address_helps(

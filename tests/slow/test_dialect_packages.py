@@ -104,6 +104,51 @@ anyio.run(main)
 """
 
 
+VLA_EVAL_DELTAS = """
+import sys
+import anyio
+import numpy as np
+from vla_eval.model_servers.predict import PredictModelServer
+from vla_eval.model_servers.serve import serve_async
+from vla_eval.rotation import axisangle_to_matrix, matrix_to_quat, quat_to_axisangle
+from vla_eval.specs import GRIPPER_CLOSE_POS, IMAGE_RGB, LANGUAGE, POSITION_DELTA, ROTATION_AA, STATE_EEF_POS_AA_GRIP
+
+GOAL = np.array([float(word) for word in sys.argv[1:4]])
+
+class Goes(PredictModelServer):
+    turn = None
+
+    def get_observation_params(self):
+        return {"send_wrist_image": True, "send_state": True, "env_seed": 0, "quat_no_antipodal": True}
+
+    def get_action_spec(self):
+        return {"position": POSITION_DELTA, "rotation": ROTATION_AA, "gripper": GRIPPER_CLOSE_POS}
+
+    def get_observation_spec(self):
+        return {"image": IMAGE_RGB, "state": STATE_EEF_POS_AA_GRIP, "language": LANGUAGE}
+
+    def predict(self, obs, ctx):
+        images = {name: np.asarray(image).shape for name, image in obs["images"].items()}
+        assert images == {"agentview": (256, 256, 3), "wrist": (256, 256, 3)}, images
+        states = np.asarray(obs["states"])
+        assert states.shape == (8,)
+        now = axisangle_to_matrix(states[3:6])
+        self.turn = now if self.turn is None else self.turn
+        turn = quat_to_axisangle(matrix_to_quat(self.turn @ now.T))
+        row = np.concatenate([np.clip(10 * (GOAL - states[:3]), -1, 1), turn, [1.0]]).astype(np.float32)
+        for spec, part in zip(self.get_action_spec().values(), (row[:3], row[3:6], row[6:])):
+            assert not spec.validate(part), spec.validate(part)
+        return {"actions": row}
+
+async def main():
+    async with anyio.create_task_group() as group:
+        print(await group.start(serve_async, Goes(), "127.0.0.1", 0), flush=True)
+
+anyio.run(main)
+"""
+LIBERO_BASE_M = np.array([-0.66, 0.0, 0.912])
+
+
 def command(packages: tuple[str, ...], *arguments: str) -> list[str]:
     uv = ROOT / ".venv-uv" / "bin" / "uv"
     found = str(uv) if uv.exists() else shutil.which("uv")
@@ -158,6 +203,22 @@ def test_t1_completes_with_a_server_of_vla_eval() -> None:
     assert recording.header.card is not None
     assert recording.header.card["action_space"] == "joint_position"
     assert len(recording["policy/observation_time_s"]) == 450
+
+
+@pytest.mark.slow
+def test_t1_completes_with_a_server_of_vla_eval_that_answers_deltas_of_libero() -> None:
+    """With the specs and the rotations of vla-eval itself; the goal is a place in LIBERO's world."""
+    goal = np.array([0.35, 0.25, 0.5]) + LIBERO_BASE_M
+    with serving("-c", VLA_EVAL_DELTAS, *map(str, goal), packages=VLA_EVAL) as port:
+        spec = TrialSpec(
+            protocol=load_protocol(), task_id="T1", seed=0, policy=f"vla-eval://127.0.0.1:{port}?profile=libero"
+        )
+        recording = run_trial(spec)
+    assert recording.header.ended == "time_limit", recording.header.failure
+    assert len(recording["actions/delta"]) == 600
+    target = recording["actions/pose_tcp_in_base"][-1]
+    # The grip site lies 20.5 mm behind the tool centre point, and the tool points down.
+    np.testing.assert_allclose(target[:3], goal - LIBERO_BASE_M - [0, 0, 0.0205], atol=2e-3)
 
 
 # Both profiles of pi0.5 on every task of both protocols, with a server that answers harmless chunks.

@@ -6,13 +6,13 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from tools.keep_sweep import TABLE_BEGINS, TABLE_ENDS, main
 from tools.net import ROOT
 from tools.net import main as net_main
 
+from carecontact.pictures import decoded
 from carecontact.protocol.load import load_protocol
 from carecontact.recording import Recording, write_recording
 from carecontact.report.baselines import beside_shipped_scores
@@ -28,8 +28,7 @@ from tools import gallery, size, strength
 def test_a_column_for_each_seed_and_a_row_of_arms(tmp_path: Path) -> None:
     out = tmp_path / "new" / "people.png"
     gallery.main(["--protocol", "bathing-v3-draft", "--seeds", "3,18", "--out", str(out)])
-    picture = cv2.imread(str(out))
-    assert picture is not None
+    picture = decoded(out.read_bytes())
     row = gallery.LABEL + gallery.HEIGHT
     assert picture.shape == (2 * row, 2 * gallery.WIDTH, 3)
     tiles = picture.reshape(2, row, 2, gallery.WIDTH, 3).swapaxes(1, 2)[:, :, gallery.LABEL :]

@@ -30,10 +30,13 @@ OFFERED = {
         "carecontact.interface.observation.CameraView",
         "carecontact.interface.action.Action",
         "carecontact.interface.robot.Session",
+        "carecontact.interface.robot.Compliance",
     ],
     "Episodes in a loop of your own": [
         "carecontact.episode.episode.Episode",
         "carecontact.episode.episode.Step",
+        "carecontact.episode.worlds.Worlds",
+        "carecontact.scoring.online.Progress",
         "carecontact.protocol.protocol.TrialSpec",
         "carecontact.protocol.load.load_protocol",
     ],

@@ -19,7 +19,7 @@ from carecontact.episode.randomization import draw
 from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.sensing import builder as builders
-from carecontact.sensing.keypoints import MediaPipePose
+from carecontact.sensing.keypoints import PoseEstimator
 from carecontact.serving import codec
 from carecontact.serving.packing import unpack
 from carecontact.sim.rendering import SceneRenderer
@@ -50,7 +50,7 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
     fields = changed = 0
     mujoco.mj_forward(simulation.model, simulation.data)
     other_model = scrambled_model(simulation.model, np.random.default_rng(0))
-    keypoints = MediaPipePose()
+    keypoints = PoseEstimator()
     with (
         SceneRenderer(simulation.model, protocol=simulation.protocol) as renderer,
         SceneRenderer(other_model, protocol=simulation.protocol) as other,
@@ -87,7 +87,6 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
             )
             changes = differences(first, second, f"observation.cameras.{camera}.{image}")
             leaks += findings("every policy", changes, after=f"{scrambled_only} (the drawn scene stayed the same)")
-    keypoints.close()
     counts = {"cards": len(cards), "fields of the world scrambled": min(fields, changed)}
     if shown:
         counts["images drawn again"] = len(shown)
@@ -208,6 +207,8 @@ def other_hidden_values(spec: TrialSpec) -> TrialSpec:
         "gates": gates.model_copy(update={"region_share": gates.region_share / 2}),
         "limits": limits.model_copy(update={"gamma": limits.gamma / 2, "f_pain_n": pain}),
     }
+    if protocol.foam is not None and protocol.has_foam(task.id):
+        other["foam"] = protocol.foam.model_copy(update={"prompts": {renamed.id: task.prompt}})
     seed = spec.seed + OTHER_SEED
     return spec.model_copy(update={"protocol": protocol.model_copy(update=other), "task_id": "canary", "seed": seed})
 

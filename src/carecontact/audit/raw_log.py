@@ -117,7 +117,7 @@ def _pose(position: F64, quat_wxyz: F64) -> F64:
     return pose
 
 
-META, SPEC = "trial.json", "spec.json"
+META, SPEC, FOAM = "trial.json", "spec.json", "foam.npy"
 IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
 
 
@@ -149,7 +149,7 @@ class WorldState:
     joint_velocity: npt.NDArray[np.float64]
     """(joints,) of the robot [rad/s]"""
     vector: npt.NDArray[np.float64]
-    """(n,) everything that pictures depend on, in the order of ``state.DRAWN``."""
+    """(n,) everything that pictures depend on but the foam, in the order of ``state.DRAWN``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +158,8 @@ class LoggedLook:
     raw: RawReadings
     sent: bytes
     state: WorldState
+    foam_left: npt.NDArray[np.float64] | None
+    """(C,) share of the foam that is left on each cell, as the finished recording gives it; None without foam"""
 
 
 def write_meta(folder: Path, meta: Meta, spec: TrialSpec) -> None:
@@ -177,7 +179,8 @@ def read_spec(folder: Path) -> TrialSpec:
     return TrialSpec.model_validate_json((folder / SPEC).read_text())
 
 
-STATE, RAW = ("joint_position", "joint_velocity", "vector"), ("joint_position", "joint_velocity", "pose_tcp_in_base")
+STATE = ("joint_position", "joint_velocity", "vector")
+RAW = ("joint_position", "joint_velocity", "pose_tcp_in_base", "velocity_tcp_in_base")
 
 
 def write_look(
@@ -187,7 +190,7 @@ def write_look(
         "sent": np.frombuffer(sent, np.uint8),
         "sim_time_s": np.array(observation.sim_time_s),
         "state.steps": np.array(state.steps),
-        **{name: getattr(raw, name) for name in RAW},
+        **{name: value for name in RAW if (value := getattr(raw, name)) is not None},
         **{f"state.{name}": getattr(state, name) for name in STATE},
     }
     for camera, view in raw.views.items():
@@ -197,8 +200,14 @@ def write_look(
     np.savez(folder / f"look-{index:04d}.npz", allow_pickle=False, **arrays)
 
 
+def write_foam(folder: Path, left: npt.NDArray[np.float64]) -> None:
+    """Write what is left of the foam (looks, C) at all looks (``LoggedLook.foam_left``)."""
+    np.save(folder / FOAM, left, allow_pickle=False)
+
+
 def read_looks(folder: Path) -> Iterator[LoggedLook]:
-    for path in sorted(folder.glob("look-*.npz")):
+    left = np.load(folder / FOAM, allow_pickle=False) if (folder / FOAM).is_file() else None
+    for number, path in enumerate(sorted(folder.glob("look-*.npz"))):
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         views: dict[str, dict[str, npt.NDArray[Any]]] = {}
@@ -209,7 +218,8 @@ def read_looks(folder: Path) -> Iterator[LoggedLook]:
         shown = {camera: RawView(**images) for camera, images in views.items()}
         yield LoggedLook(
             sim_time_s=float(arrays["sim_time_s"]),
-            raw=RawReadings(**{name: arrays[name] for name in RAW}, views=shown),
+            raw=RawReadings(**{name: arrays[name] for name in RAW if name in arrays}, views=shown),
             sent=arrays["sent"].tobytes(),
             state=WorldState(steps=int(arrays["state.steps"]), **{name: arrays[f"state.{name}"] for name in STATE}),
+            foam_left=None if left is None else left[number],
         )

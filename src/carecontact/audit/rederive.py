@@ -23,7 +23,7 @@ from carecontact.audit.raw_log import (
 )
 from carecontact.errors import CarecontactError
 from carecontact.sensing.builder import RawReadings, derive
-from carecontact.sensing.keypoints import KeypointEstimator, MediaPipePose
+from carecontact.sensing.keypoints import KeypointEstimator, PoseEstimator
 from carecontact.serving.sent_message import dialect_of, rebuilt_message, unpacked_message
 
 REDERIVE_BOOTSTRAP = """
@@ -39,10 +39,9 @@ main(sys.argv[2])
 
 def main(folder: str) -> None:
     """Print one JSON object: ``looks`` of every trial (``rederive_trial``), and ``simulators``, those within reach."""
-    keypoints = MediaPipePose()
+    keypoints = PoseEstimator()
     trials = sorted(path for path in Path(folder).iterdir() if path.is_dir())
     looks = [row for trial in trials for row in rederive_trial(trial, keypoints)]
-    keypoints.close()
     sys.stdout.write(json.dumps({"looks": looks, "simulators": within_reach()}) + "\n")
 
 

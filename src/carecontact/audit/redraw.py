@@ -19,7 +19,6 @@ from carecontact.audit.raw_log import (
     IMAGES,
     SPEC,
     LoggedLook,
-    WorldState,
     differences,
     intrinsics,
     read_looks,
@@ -27,7 +26,15 @@ from carecontact.audit.raw_log import (
     read_spec,
 )
 from carecontact.audit.watched import DRAWN, robot_addresses
-from carecontact.episode.randomization import calibration, drawn, randomize_appearance, sensor_noise, set_place
+from carecontact.episode.randomization import (
+    calibration,
+    drawn,
+    randomize_appearance,
+    sensor_noise,
+    set_place,
+    with_foam,
+)
+from carecontact.human.foam import FoamPatch
 from carecontact.human.library import load_body
 from carecontact.human.pose import root_position
 from carecontact.interface.robot import Robot
@@ -66,6 +73,11 @@ class Pictures:
         image = np.empty((*self._size(camera), 3), np.uint8)
         self._draw(data, camera, None, image, None)
         return np.ascontiguousarray(image[::-1])
+
+    def upload(self, texture: str) -> None:
+        """Take over a texture that has changed in the model."""
+        self._context.make_current()
+        mujoco.mjr_uploadTexture(self.model, self._mjr, self.model.texture(texture).id)
 
     def depth(self, data: mujoco.MjData, camera: str, *, group: int | None = None) -> npt.NDArray[np.float32]:
         """Return the depth (H, W) [m] along the optical axis, NaN beyond DEPTH_RANGE_M.
@@ -163,6 +175,7 @@ class _World:
 
     def __init__(self, spec: TrialSpec) -> None:
         self._spec, self.images = spec, 0
+        self._foam: FoamPatch | None = None
         self._drawn = drawn(spec)
         self._cameras = {str(name): camera for name, camera in self._drawn.protocol.cameras.items()}
         self._cell, self._robot = cell_model(self._drawn.protocol), self._drawn.protocol.scene.robot
@@ -178,12 +191,15 @@ class _World:
         data = _at(self._cell, self._robot, angles, known)
         tool = data.site(self._robot.tcp_site)
         held = _in_base(data, self._robot, tool.xpos, tool.xmat)
+        speeds = noise.joint_velocity(state.joint_velocity, sim_time_s=now_s)
         rows: list[tuple[str, Any, Any]] = [
             ("sim_time_s", now_s, look.sim_time_s),
             ("joint_position", angles, raw.joint_position),
-            ("joint_velocity", state.joint_velocity, raw.joint_velocity),
+            ("joint_velocity", speeds, raw.joint_velocity),
             ("pose_tcp_in_base", held, raw.pose_tcp_in_base),
         ]
+        if (moving := raw.velocity_tcp_in_base) is not None:
+            rows.append(("velocity_tcp_in_base", _moving(self._cell, data, self._robot, speeds), moving))
         for name, view in raw.views.items():
             camera, optics = data.cam(name), intrinsics(self._cameras[name].model_dump())
             pose = _in_base(data, self._robot, camera.xpos, camera.xmat.reshape(3, 3) @ CV_FROM_GL)
@@ -193,7 +209,7 @@ class _World:
                 shown = getattr(view, image)
                 if shown is None:
                     continue
-                again = self._image(image, name, state, angles, known)
+                again = self._image(image, name, look, angles, known)
                 if image == "depth":
                     again = noise.depth(again, optics, camera=name, sim_time_s=now_s)
                 rows.append((f"cameras.{name}.{image}", again, shown))
@@ -203,7 +219,7 @@ class _World:
             for where, what in differences(expected, got, f"observation.{place}")
         ]
 
-    def _image(self, image: str, camera: str, state: WorldState, angles: F64, known: Calibration) -> npt.NDArray[Any]:
+    def _image(self, image: str, camera: str, look: LoggedLook, angles: F64, known: Calibration) -> npt.NDArray[Any]:
         self.images += 1
         groups = {"robot_depth": VISUAL_GROUP, "cell_depth": FURNITURE_GROUP}
         if image in groups:
@@ -211,16 +227,22 @@ class _World:
             return self._empty.depth(empty, camera, group=groups[image])
         model = self._whole.model
         data = mujoco.MjData(model)
-        mujoco.mj_setState(model, data, state.vector, DRAWN)
+        mujoco.mj_setState(model, data, look.state.vector, DRAWN)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        return self._whole.rgb(data, camera) if image == "rgb" else self._whole.depth(data, camera)
+        if image != "rgb":
+            return self._whole.depth(data, camera)
+        if self._foam is not None:
+            self._foam.paint(model, look.foam_left)
+            self._whole.upload("human_skin")
+        return self._whole.rgb(data, camera)
 
     @cached_property
     def _whole(self) -> Pictures:
         spec = self._spec
         scene = build_scene(self._drawn.protocol, target=spec.protocol.task(spec.task_id).region)
         randomize_appearance(scene, spec.seed, salt=spec.salt)
+        self._foam = with_foam(scene, spec.task_id, spec.seed, salt=spec.salt).foam
         set_place(scene, self._drawn.place)
         return Pictures(scene.model, self._cameras)
 
@@ -241,6 +263,15 @@ def _at(model: mujoco.MjModel, robot: Robot, angles: F64, known: Calibration) ->
         camera.xpos[:] = camera.xpos + rotation @ error[:3, 3]
         camera.xmat[:] = (rotation @ error[:3, :3] @ CV_FROM_GL).ravel()
     return data
+
+
+def _moving(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, speeds: F64) -> F64:
+    """Return velocity and angular velocity (6,) of the tool in the robot's base, for speeds (joints,) of its joints."""
+    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_jacSite(model, data, linear, angular, model.site(robot.tcp_site).id)
+    moved = np.vstack([linear, angular])[:, robot_addresses(model, robot)[1]] @ speeds
+    return (moved.reshape(2, 3) @ data.body(robot.base_body).xmat.reshape(3, 3)).ravel()
 
 
 def _in_base(data: mujoco.MjData, robot: Robot, position: F64, rotation: F64) -> F64:

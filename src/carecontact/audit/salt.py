@@ -17,8 +17,9 @@ from carecontact.protocol.protocol import commitment
 from carecontact.recording import Recording, read_recording
 from carecontact.runs.manifest import MANIFEST, committed
 from carecontact.sensing.calibration import BELIEVED, TRUE, Calibration
-from carecontact.world.randomization import draw_shifts
+from carecontact.world.randomization import arm_bias_of, draw_shifts
 
+OF_THE_WORLD = "body, posture, place, robot's base, bias of its arm, or camera"
 ARM_DEG = 3.0
 """How far [deg] from the drawn angle an arm may come to rest (assumed)."""
 SAME = 1e-9
@@ -68,8 +69,8 @@ def drawn_again(recording: Recording, salt: str) -> Iterator[tuple[str, bool]]:
     if header.comfort_arm_deg is not None:
         yield "the angle of the arm", abs(header.comfort_arm_deg - made.comfort_arm_deg) < ARM_DEG
     if header.drawn:
-        facts = json.loads(json.dumps(drawn_facts(made.protocol, made.place)))
-        yield "body, posture, place, robot's base or camera", header.drawn == facts
+        facts = json.loads(json.dumps(drawn_facts(made.protocol, made.place, arm_bias_of(protocol, seed, salt))))
+        yield OF_THE_WORLD, header.drawn == facts
     if BELIEVED in arrays:
         yield "the error of the calibration", _same_errors(recording, calibration(protocol, seed, salt=salt))
     wanted = protocol.person.alive.repositioning

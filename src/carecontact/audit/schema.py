@@ -3,8 +3,9 @@ dialect, and nothing more."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from carecontact.audit.watched import Watched
 from carecontact.errors import CarecontactError, ContractError
 from carecontact.interface.policy import PolicyCard
 from carecontact.recording.reason import reason
+from carecontact.recording.schema import Recording
 from carecontact.serving import codec, dialect_media, vla_eval
+from carecontact.serving.cartesian import STATE, STATE_WIDTH
 from carecontact.serving.dialect import CARTESIAN, ENDPOINT, GRIPPER, JOINTS, PROMPT, SESSION, profile_of
 from carecontact.serving.packing import unpack
 from carecontact.serving.sent_message import dialect_of, unpacked_message
@@ -23,7 +26,7 @@ Found = Iterator[tuple[str, str]]
 """Pairs of a place in a message and what is wrong there."""
 RANDOM_ID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-4[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}")
 """A UUID of version 4, which consists of random bits and can therefore reveal nothing."""
-NUMBERS = {JOINTS: (dialect_media.JOINTS,), GRIPPER: (1,), CARTESIAN: (6,)}
+NUMBERS = {JOINTS: (dialect_media.JOINTS,), GRIPPER: (1,), CARTESIAN: (6,), STATE: (STATE_WIDTH,)}
 """Key of a message of openpi's family -> shape of its array of type ``<f8``."""
 
 
@@ -88,10 +91,10 @@ def _vla_eval(entries: dict[str, Any], card: PolicyCard, *, instruction: str, nu
     if not isinstance(payload, dict) or kind not in vla_eval.KEYS:
         yield "message.payload", f"expected a map, got {payload!r:.80}"
         return
-    pictures = {"exterior": f"images.{vla_eval.EXTERIOR}", "wrist": f"images.{vla_eval.WRIST}"}
-    left_out = {place for camera, place in pictures.items() if camera not in card.cameras}
-    left_out |= {"states"} if card.arguments.get("state") != "yes" else set[str]()
-    yield from _keys(_paths(payload), [key for key in vla_eval.KEYS[kind] if key not in left_out], kind)
+    pictures = [f"images.{name}" for name in vla_eval.images_of(card.cameras, card.arguments).values()]
+    allowed = {*vla_eval.KEYS[kind], *(pictures if kind == "observation" else ())}
+    allowed -= {"states"} if card.arguments.get("state") != "yes" else set[str]()
+    yield from _keys(_paths(payload), sorted(allowed), kind)
     for place, value in _paths(payload).items():
         where = f"{kind}.{place}"
         if place in ("task_description", "task.name") and value != instruction:
@@ -100,7 +103,7 @@ def _vla_eval(entries: dict[str, Any], card: PolicyCard, *, instruction: str, nu
             yield where, f"expected {vla_eval.HELLO[place]!r}, got {value!r:.80}"
         elif place == "states":
             yield from _array(value, "<f8", (dialect_media.WIDTH,), where)
-        elif place in pictures.values():
+        elif place in pictures:
             yield from _array(value, "|u1", (None, None, 3), where)
 
 
@@ -166,8 +169,10 @@ def audit_schema(trials: list[Watched]) -> Part:
             leaks += findings(trial.policy, check_conversation(sent, card, instruction=trial.instruction))
             continue
         messages += len(trial.looks)
+        timetable = Timetable(card, early_s=0.0 if trial.recording is None else _step_s(trial.recording))
         for look in trial.looks:
-            leaks += findings(trial.policy, check_message(look.sent, card, joints=trial.joints))
+            due = timetable.due(look.time_s, look.asked)
+            leaks += findings(trial.policy, check_message(look.sent, card, joints=trial.joints, due=due))
     counts = {"trials": len(trials), "messages": messages}
     return Part(name=SCHEMA_NAME, title=SCHEMA_TITLE, counts=counts, findings=tuple(dict.fromkeys(leaks)))
 
@@ -178,10 +183,48 @@ def failed_at(error: str) -> list[str]:
     return ["trial"] if refused is None else [f"{refused[1]}.{key}" for key in refused[2].split(", ")]
 
 
-def check_message(sent: bytes, card: PolicyCard | None, *, joints: int) -> list[tuple[str, str]]:
+class Timetable:
+    """Which cameras the observations of one trial may show, by the card and by what the policy asked for: by other code
+    than that which took the views."""
+
+    def __init__(self, card: PolicyCard | None, *, early_s: float) -> None:
+        """``early_s``: by how much less an observation may come before its time, because control periods are whole
+        physics steps: the length of a step [s]."""
+        self._early_s = early_s - 1e-6
+        self._cameras: Sequence[str] = () if card is None else card.cameras
+        self._rates: Mapping[str, float] = {} if card is None else card.camera_hz
+        self._next_s: dict[str, float] = {}
+        """Camera with a rate -> when its next view is due."""
+
+    def due(self, time_s: float, asked: Collection[str]) -> set[str]:
+        """Return the cameras that take a view for the observation at this time; call it once for each, in order.
+
+        ``asked``: those that the actions since the observation before named.
+        """
+        taking = set[str]()
+        for name in self._cameras:
+            due_s = self._next_s.get(name, 0.0) if name in self._rates else time_s
+            if name in asked or time_s >= due_s - self._early_s:
+                taking.add(name)
+            rate = self._rates.get(name, 0.0)
+            while rate and due_s - self._early_s <= time_s:
+                due_s = (round(due_s * rate) + 1) / rate
+            self._next_s[name] = due_s if rate else math.inf
+        return taking
+
+
+def _step_s(recording: Recording) -> float:
+    return recording.header.spec.protocol.physics.dt_s
+
+
+def check_message(
+    sent: bytes, card: PolicyCard | None, *, joints: int, due: Collection[str] | None = None
+) -> list[tuple[str, str]]:
     """Return pairs of a place and what is wrong there, for one message that asks the policy to act.
 
-    ``joints``: number of the robot's joints; the wire takes any number of angles.
+    Args:
+        joints: number of the robot's joints; the wire takes any number of angles.
+        due: cameras that took a view for this observation (``Timetable``); by default all of the card.
     """
     message = unpack(sent)
     if not isinstance(message, dict) or set(message) != MESSAGE:
@@ -200,13 +243,18 @@ def check_message(sent: bytes, card: PolicyCard | None, *, joints: int) -> list[
         found.append(("observation.joint_position", f"expected {joints} numbers, got {got}"))
     if card is None:
         return [*found, ("card", "an observation was sent to a policy that showed no card")]
-    requested, shown = sorted(set(card.cameras)), sorted(observation.cameras)
+    if (observation.velocity_tcp_in_base is not None) != card.tool_velocity:
+        what = "was not sent, although the card requests it" if card.tool_velocity else "was sent without a request"
+        found.append(("observation.velocity_tcp_in_base", what))
+    requested, shown = sorted(set(card.cameras if due is None else due)), sorted(observation.cameras)
     if requested != shown:
-        holds = f"the card requests {requested or 'none'}, but the message holds {shown}"
+        wants = "the card requests" if due is None or set(due) == set(card.cameras) else "due by card and actions are"
+        holds = f"{wants} {requested or 'none'}, but the message holds {shown}"
         found.append(("observation.cameras", holds))
     wanted = ALWAYS.union(*(FIELDS_OF[m] for m in card.modalities))
     for name, view in observation.cameras.items():
-        sent_fields, place = {field for field, value in vars(view).items() if value is not None}, "observation.cameras"
+        sent_fields = {field for field, value in vars(view).items() if value is not None} - {codec.VIEW_TIME}
+        place = "observation.cameras"
         more, less = "was sent, although the card does not request it", "was not sent, although the card requests it"
         found += [(f"{place}.{name}.{field}", more) for field in sorted(sent_fields - wanted)]
         found += [(f"{place}.{name}.{field}", less) for field in sorted(wanted - sent_fields)]

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.audit.raw_log import Meta, WorldState, write_look, write_meta
+from carecontact.audit.raw_log import Meta, WorldState, write_foam, write_look, write_meta
 from carecontact.episode.randomization import calibration, draw, settled_world, with_draws_of
 from carecontact.errors import CarecontactError, SceneError
 from carecontact.interface.policy import PolicyCard
@@ -24,6 +24,7 @@ from carecontact.policies.motion import UP, Leg, radial_quat, sample, travel
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording.schema import Recording
 from carecontact.running.trial import Look, run_trial
+from carecontact.scoring.foam import RecordedWiping
 from carecontact.serving import codec
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.witness import RECEIVED_FILE, TASK
@@ -197,6 +198,8 @@ def witness():
 class Message:
     time_s: float
     sent: bytes
+    asked: tuple[str, ...] = ()
+    """Cameras that the actions since the observation before named."""
 
 
 @dataclass(kw_only=True)
@@ -267,7 +270,7 @@ def watch(
     watched = Watched(policy=policy, task_id=task.id, instruction=task.prompt, joints=len(robot.joints))
     readers: list[StateReader] = []
     drawn: list[Protocol] = []
-    kept = 0
+    kept, asked = 0, set[str]()
 
     def prepared(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
         world = prepare(spec)
@@ -285,10 +288,13 @@ def watch(
         watched.look_times_s.append(time_s)
         watched.look_steps.append(state.steps)
         kept += len(look.sent)
+        wanted = tuple(sorted(asked))
+        asked.clear()
+        asked.update(name for action in look.actions for name in action.look)
         if kept > MAX_KEPT_BYTES:
             return
         watched.kept += 1
-        watched.looks.append(Message(time_s=time_s, sent=look.sent))
+        watched.looks.append(Message(time_s=time_s, sent=look.sent, asked=wanted))
         if log is not None:
             write_look(log, number, observation=look.observation, raw=look.raw, sent=look.sent, state=state)
 
@@ -322,6 +328,9 @@ def watch(
         arguments=dict(card.arguments),
     )
     write_meta(log, meta, spec)
+    # From the recording, and not from what the trial painted, so that redrawing finds where the two differ.
+    if (foam := RecordedWiping.of(recording)) is not None:
+        write_foam(log, np.array([foam.until(time_s).left for time_s in watched.look_times_s]))
     return watched
 
 

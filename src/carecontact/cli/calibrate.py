@@ -78,6 +78,9 @@ class Calibrate:
             return _verify(self.trials, self.verify)
         from carecontact.lab.calibration.calibrate import calibrate
         from carecontact.lab.calibration.checks import regions_of
+        from carecontact.plotting import import_matplotlib
+
+        import_matplotlib()
 
         rules = self.rules.load()
         for region in self.region:

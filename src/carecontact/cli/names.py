@@ -24,8 +24,8 @@ class List:
 
     what: Annotated[
         Literal[
-            "tasks", "actions", "regions", "segments", "spaces", "controls", "robots", "policies", "protocols",
-            "bodies", "tissue", "metrics", "limits", "all",
+            "tasks", "actions", "regions", "segments", "spaces", "deltas", "controls", "robots", "policies",
+            "protocols", "bodies", "tissue", "metrics", "limits", "all",
         ],
         tyro.conf.Positional,
     ] = "all"  # fmt: skip
@@ -94,6 +94,12 @@ def _spaces(protocol: str) -> list[tuple[str, str]]:
     from carecontact.interface.action import ACTION_SPACES
 
     return _rows(ACTION_SPACES, lambda row: f"{row.description} Fields: {', '.join(row.fields)}.")
+
+
+def _deltas(protocol: str) -> list[tuple[str, str]]:
+    from carecontact.interface.deltas import DELTAS
+
+    return _rows(DELTAS, lambda row: row.description)
 
 
 def _controls(protocol: str) -> list[tuple[str, str]]:
@@ -194,6 +200,6 @@ def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str,
 
 KINDS = {
     "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "spaces": _spaces,
-    "controls": _controls, "robots": _robots, "policies": _policies, "protocols": _protocols, "bodies": _bodies,
-    "tissue": _tissue, "metrics": _metrics, "limits": _limits,
+    "deltas": _deltas, "controls": _controls, "robots": _robots, "policies": _policies, "protocols": _protocols,
+    "bodies": _bodies, "tissue": _tissue, "metrics": _metrics, "limits": _limits,
 }  # fmt: skip

@@ -62,8 +62,10 @@ class Physics:
         """Return 1 if any check fails on any body."""
         from carecontact.human.library import load_body
         from carecontact.lab.validation.run import CHECKS
+        from carecontact.plotting import import_matplotlib
         from carecontact.protocol.load import load_protocol
 
+        import_matplotlib()
         loaded = load_protocol(self.rules.protocol, level=self.rules.level)
         rules = self.rules.changed(loaded, **self.physics.changes(loaded))
         names = tuple(CHECKS) if self.checks == "all" else tuple(part.strip() for part in self.checks.split(","))
@@ -222,7 +224,9 @@ class Metrics:
         """Return 1 if a score does not follow its sweep."""
         from carecontact.lab.validation.probes import PROBES, run
         from carecontact.lab.validation.subject import Subject
+        from carecontact.plotting import import_matplotlib
 
+        import_matplotlib()
         short = {name.partition("@")[0].casefold(): name for name in PROBES}
         given = [part.strip() for part in self.metrics.split(",")]
         names = tuple(PROBES) if self.metrics == "all" else tuple(short.get(name.casefold(), name) for name in given)

@@ -135,11 +135,7 @@ def counted(items: Iterable[T], total: int, name: str) -> Iterator[T]:
 
 
 def _smaller(frames: Iterable[Picture]) -> Iterator[Picture]:
-    import cv2
-    import numpy as np
+    from carecontact.pictures import shrunk
 
-    from carecontact.replay.film import SIZE
-
-    to = (GIF_WIDTH, round(GIF_WIDTH * SIZE[1] / SIZE[0]))
     for frame in frames:
-        yield np.asarray(cv2.resize(frame, to, interpolation=cv2.INTER_AREA), np.uint8)
+        yield shrunk(frame, GIF_WIDTH)

@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.episode.foam import foam_arrays
 from carecontact.errors import PolicyError
 from carecontact.interface.observation import Observation
+from carecontact.recording.pictures import KEPT, PictureLog
 from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, empty_arrays
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.tissue.plugin import Cells, Law
@@ -24,7 +26,6 @@ STOPPED_OVER = 1.6
 """The robot stops itself above this multiple of the speed at which its target moves: 0.4 m/s where that is 0.25 m/s
 (chosen). The impedance holds the tool to 1.1 times that speed, and a torque about the tool or what it touches adds to
 that. With the declared 10 kg, 0.4 m/s are 0.8 J; a ball goes through the skin of a heavy abdomen from 0.91 J on."""
-MAX_LOSSLESS_FRAMES = 64
 MAX_NOTES_BYTES = 32 << 20
 MAX_STEP_NOTES, MAX_NOTES = 64, 4096
 """Most entries in the notes of one step, and most datasets in all notes of a trial: each takes milliseconds to write,
@@ -77,6 +78,7 @@ class PersonLog:
             cells, frame = scene.regions[self._region].cells, scene.frames[self._region]
             out["scorer/cell_in_region"] = ((cells.centres - frame.origin) @ frame.axes).astype("<f4")
             out["scorer/cell_area_m2"] = cells.areas.astype("<f4")
+            out |= foam_arrays(scene.foam)
         if self._life is not None:
             moves = self._life.moves()
             out["scorer/repositioning_s"] = moves[:, 0].astype("<f8")
@@ -139,7 +141,8 @@ class TrialLog:
         self._samples: list[Samples] = []
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
         """Array path -> its rows so far."""
-        self._observations = self._frames = self._notes_bytes = self._notes_count = 0
+        self._observations = self._notes_bytes = self._notes_count = 0
+        self._pictures = PictureLog()
         self.extra: Arrays = {}
         """Optional arrays, by their path."""
 
@@ -159,23 +162,30 @@ class TrialLog:
         """Add a state. ``state``: (n,) the simulator's integration state."""
         self._add({"state/time_s": time_s, "state/integration": state})
 
-    def add_observation(self, observation: Observation, sent_sha256: bytes) -> None:
-        """Add the time of an observation. ``sent_sha256``: 32 bytes, the digest of the message that carried it."""
+    def add_observation(
+        self, observation: Observation, sent_sha256: bytes, *, looked: npt.NDArray[np.uint8] | None = None
+    ) -> None:
+        """Add the time of an observation, which holds its new views only.
+
+        Args:
+            sent_sha256: 32 bytes, the digest of the message that carried it.
+            looked: (V,) 1 for each camera that took a view; None where every camera does for every observation.
+        """
         self.add_frames(observation)
         self._observations += 1
         digest = np.frombuffer(sent_sha256, "u1")
         self._add({"policy/observation_time_s": observation.sim_time_s, "policy/observation_sha256": digest})
+        if looked is not None:
+            self._add({"policy/looked": looked})
 
     def add_frames(self, observation: Observation) -> None:
         """Keep the images of the next observation. If the policy fails at that step, they are all that is kept of
         it.
         """
         for name, view in observation.cameras.items():
-            for modality in ("rgb", "depth"):
-                image = getattr(view, modality)
-                if image is not None and self._frames < MAX_LOSSLESS_FRAMES:
-                    self.extra[f"policy/frames/{self._observations:04d}/{name}/{modality}"] = image
-                    self._frames += 1
+            for modality in KEPT:
+                if (picture := getattr(view, modality)) is not None:
+                    self._pictures.add(self._observations, name, modality, picture)
 
     def add_notes(self, notes: Mapping[str, object], *, failed: bool = False) -> None:
         """Keep the policy's notes on its latest step. ``failed``: whether the policy failed at that step.
@@ -216,18 +226,26 @@ class TrialLog:
 
     def arrays(self) -> Arrays:
         """Return all arrays of the recording so far."""
-        out = dict(self._fixed)
-        if self._samples:
-            for path, name in STREAMS.items():
-                out[path] = np.concatenate([getattr(sample, name) for sample in self._samples]).astype(_dtype(path))
+        out = self._fixed | self._streams(STREAMS)
+        out |= {path: np.array(rows, _dtype(path)) for path, rows in self._rows.items() if rows}
+        return out | self.extra | self._pictures.arrays()
+
+    def measured(self, paths: Iterable[str]) -> Arrays:
+        """Return these arrays of STREAMS so far, those of BESIDE, and what holds for the whole trial."""
+        return self._fixed | self._streams(paths)
+
+    def _streams(self, paths: Iterable[str]) -> Arrays:
+        out: Arrays = {}
+        for path in paths if self._samples else ():
+            blocks = [getattr(sample, STREAMS[path]) for sample in self._samples]
+            out[path] = np.concatenate(blocks).astype(_dtype(path))
         touched = next((sample for sample in self._samples if sample.beside_normal is not None), None)
         for path, name in BESIDE.items() if touched is not None else ():
             blocks = [(len(sample.time_s), getattr(sample, name)) for sample in self._samples]
             shape = getattr(touched, name).shape[1:]
             filled = [np.zeros((count, *shape)) if block is None else block for count, block in blocks]
             out[path] = np.concatenate(filled).astype(_dtype(path))
-        out |= {path: np.array(rows, _dtype(path)) for path, rows in self._rows.items() if rows}
-        return out | self.extra
+        return out
 
 
 def _dtype(path: str) -> str:

@@ -31,7 +31,7 @@ from carecontact.protocol.gates import Vec3
 from carecontact.protocol.person import Alive
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Variation
-from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
+from carecontact.tissue.plugin import loaded_sha256
 from carecontact.world.randomization import Posture, body_of, place_of, posture_of, streams
 from carecontact.world.room import BED_HALF_M
 
@@ -87,7 +87,7 @@ def placed_person(protocol: Protocol, seed: int, *, salt: str = "") -> PlacedPer
         "protocol": _decisive(protocol, variations),
         "seed": seed,
         "salt": salt,
-        "versions": [mujoco.__version__, np.__version__, kernel_sha256()],
+        "versions": [mujoco.__version__, np.__version__, loaded_sha256()],
         "sources": [source_sha256(PACKAGE / part) for part in ("episode", "human", "tissue", "world")],
         "body": load_body(body).sha256,
     }

@@ -10,6 +10,7 @@ import numpy as np
 
 from carecontact.cache import Arrays, cached
 from carecontact.episode.placed_persons import placed_person, posed
+from carecontact.human.foam import lay_foam
 from carecontact.human.skin import draw_appearance, set_appearance
 from carecontact.human.soft_region import draw_tissue
 from carecontact.interface.robot import Control
@@ -19,11 +20,11 @@ from carecontact.protocol.sections import DRAWN, Variation
 from carecontact.sensing.builder import SensorNoise
 from carecontact.sensing.calibration import Calibration, draw_calibration
 from carecontact.sim.simulation import Settled, Simulation
-from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
-from carecontact.tissue.plugin import set_law
+from carecontact.tissue.plugin import loaded_sha256, set_law
 from carecontact.world.randomization import (
     UNMOVED,
     Place,
+    arm_bias_of,
     body_of,
     draw_motion_script,
     move_person,
@@ -31,6 +32,7 @@ from carecontact.world.randomization import (
     place_in_model,
     place_of,
     posture_of,
+    spot_of,
     streams,
     words,
 )
@@ -52,14 +54,16 @@ class Drawn:
     place: Place
 
 
-def drawn_facts(protocol: Protocol, place: Place) -> dict[str, Any]:
+def drawn_facts(protocol: Protocol, place: Place, force_bias_n: np.ndarray) -> dict[str, Any]:
     """Return what was drawn for a trial's world (``Drawn``), for the recording and never for a policy."""
     scene, overhead = protocol.scene, protocol.cameras["overhead"]
+    biased = {} if protocol.arm_errors is None else {"force_bias_n": force_bias_n.tolist()}
     return {
         **protocol.person.model_dump(mode="json", include=set(OF_PERSON)),
         "place": asdict(place),
         **scene.model_dump(mode="json", include={"robot_base_m", "robot_yaw_deg"}),
         "overhead": overhead.model_dump(mode="json", include={"position_m", "look_at_m", "up"}),
+        **biased,
     }
 
 
@@ -115,6 +119,20 @@ def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
         set_appearance(scene.model, scene.body, draw_appearance(stream["appearance"]))
     if protocol.variation.light == "varied-v1":
         set_light(scene.model, draw_light(stream["light"]))
+
+
+def with_foam(scene: Scene, task_id: str, seed: int, *, salt: str = "") -> Scene:
+    """Return a compiled scene with the foam that the protocol puts on the skin for a task, if any; the physics is
+    unchanged.
+
+    Call it once, after ``randomize_appearance``.
+    """
+    spot = spot_of(scene.protocol, task_id, seed, salt)
+    if spot is None:
+        return scene
+    region = scene.protocol.task(task_id).region
+    patch = lay_foam(scene.model, scene.body, scene.regions[region], scene.frames[region], spot)
+    return replace(scene, foam=patch)
 
 
 def set_place(scene: Scene, place: Place) -> None:
@@ -177,7 +195,7 @@ def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str)
     facts = {
         "model": model_sha256,
         "mujoco": mujoco.__version__,
-        "kernel": kernel_sha256(),
+        "kernel": loaded_sha256(),
         "comfort_arm_deg": comfort_arm_deg.hex(),
         "phases": protocol.phases.model_dump(mode="json"),
         "target_period_s": protocol.physics.target_period_s,
@@ -220,11 +238,13 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = ""
     # The hash comes before everything that the seed and later the policy write into the model.
     model_sha256 = scene.model_sha256
     randomize_appearance(scene, seed, salt=salt)
+    scene = with_foam(scene, task_id, seed, salt=salt)
     set_place(scene, drawn.place)
     simulation = Simulation(scene)
     settled = settle(simulation, drawn.comfort_arm_deg, model_sha256=model_sha256)
     randomize_tissue(simulation, seed, salt=salt)
     start_motion_script(simulation, seed, salt=salt)
+    simulation.force_bias_n = arm_bias_of(protocol, seed, salt)
     return simulation, settled, model_sha256
 
 

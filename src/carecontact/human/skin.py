@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +16,12 @@ from carecontact.human.body import Array, Body
 from carecontact.human.library import body_file, body_names
 from carecontact.human.mesh import refined
 from carecontact.human.skeleton import body_name
+from carecontact.pictures import decoded
 
 TEXTURE_SIZE = 1024
 WAVES = 16
+OUTLINE_TEXELS = 1.0
+FACES_AT_ONCE = 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +38,12 @@ def baked_texture(name: str) -> npt.NDArray[np.uint8]:
     """Return a shipped body's texture (TEXTURE_SIZE, TEXTURE_SIZE, 3). Raises AssetError if it is not there."""
     file = f"{name}.skin.png"
     try:
-        image = cv2.imdecode(np.frombuffer(body_file(file), np.uint8), cv2.IMREAD_COLOR)
-    except (OSError, cv2.error) as error:
+        image = decoded(body_file(file))
+    except OSError as error:
         raise AssetError(f"skin of body {name}: {error}; reinstall the package or run tools/bake_skin.py") from None
-    if image is None or image.shape != (TEXTURE_SIZE, TEXTURE_SIZE, 3):
+    if image.shape != (TEXTURE_SIZE, TEXTURE_SIZE, 3):
         raise AssetError(f"skin of body {name}: {file} is not a {TEXTURE_SIZE} x {TEXTURE_SIZE} colour PNG")
-    return np.ascontiguousarray(image[..., ::-1], np.uint8)
+    return image
 
 
 def texture_of(body: Body) -> npt.NDArray[np.uint8]:
@@ -96,35 +98,59 @@ def painters(body: Body) -> npt.NDArray[np.int32]:
     """Return which face covers each texel (TEXTURE_SIZE, TEXTURE_SIZE), counted from 1; 0 where none does."""
     corners = body.uv[body.uv_faces] * TEXTURE_SIZE
     corners[..., 1] = TEXTURE_SIZE - corners[..., 1]
-    fixed = np.round(corners * 16).astype(np.int32)
-    digits = np.arange(1, len(fixed) + 1)[:, None] >> [0, 8, 16] & 255
-    image = np.zeros((TEXTURE_SIZE, TEXTURE_SIZE, 3), np.uint8)
-    for triangle, c in zip(fixed, digits.tolist(), strict=True):
-        # The outline covers the hairline between neighbours, which texture filtering would show.
-        cv2.fillConvexPoly(image, triangle, c, cv2.LINE_8, 4)
-        cv2.polylines(image, [triangle], True, c, 1, cv2.LINE_8, 4)
-    return (image.astype(np.int32) << [0, 8, 16]).sum(-1, dtype=np.int32)
+    image = np.zeros((TEXTURE_SIZE, TEXTURE_SIZE), np.int32)
+    # A face first covers the texels beside its outline: texture filtering would show the hairline between two faces.
+    for reach in (OUTLINE_TEXELS, 0.0):
+        for start in range(0, len(corners), FACES_AT_ONCE):
+            face, x, y = _covered(corners[start : start + FACES_AT_ONCE], reach)
+            image[y, x] = 1 + start + face
+    return image
+
+
+def _covered(corners: Array, reach: float) -> tuple[npt.NDArray[np.int64], ...]:
+    """Return the pairs of triangles (N, 3, 2) and texels whose middles lie within them or at most so far outside."""
+    low = np.clip(np.floor(corners.min(1) - reach), 0, TEXTURE_SIZE - 1).astype(int)
+    size = np.clip(np.ceil(corners.max(1) + reach), 1, TEXTURE_SIZE).astype(int) - low
+    count = size.prod(1)
+    face = np.repeat(np.arange(len(corners)), count)
+    number = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    x, y = low[face, 0] + number % size[face, 0], low[face, 1] + number // size[face, 0]
+    side = np.roll(corners, -1, axis=1) - corners
+    area = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
+    inward = np.stack([-side[..., 1], side[..., 0]], -1) * np.sign(area)[:, None, None]
+    inward /= np.maximum(np.linalg.norm(inward, axis=-1, keepdims=True), 1e-12)
+    near = np.ones(len(face), bool)
+    for corner in range(3):
+        from_corner = np.stack([x + 0.5, y + 0.5], -1) - corners[face, corner]
+        near &= (from_corner * inward[face, corner]).sum(-1) >= -reach
+    return face[near], x[near], y[near]
 
 
 def coloured(painters: npt.NDArray[np.int32], body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
     """Return the texture of a body whose faces cover the texels as ``painters`` says."""
     colours = np.clip(np.vstack([appearance.skin, _face_colours(body, appearance)]), 0, 255)
-    return cv2.GaussianBlur(np.rint(colours).astype(np.uint8)[painters], (3, 3), 0)  # pyright: ignore[reportReturnType]
+    image = np.pad(np.rint(colours).astype(np.uint16)[painters], ((1, 1), (1, 1), (0, 0)), "reflect")
+    image = image[:-2] + 2 * image[1:-1] + image[2:]
+    return ((image[:, :-2] + 2 * image[:, 1:-1] + image[:, 2:] + 8) >> 4).astype(np.uint8)
 
 
 def _face_colours(body: Body, appearance: Appearance) -> Array:
     skin, cloth, hair = (np.array(c, np.float64) for c in (appearance.skin, appearance.cloth, appearance.hair))
     centre = body.vertices[body.faces].mean(1)
-    segment = np.array(body.segments)[body.owner[body.faces[:, 0]]]
+    owner = body.owner[body.faces[:, 0]]
+
+    def of(*segments: str) -> npt.NDArray[np.bool_]:
+        """Return which faces belong to these segments."""
+        return np.isin(body.segments, segments)[owner]
+
     # Mottling of low spatial frequency: with one flat tone, key-point detectors fail. Few waves would show as stripes.
     waves, phases = np.split(np.random.default_rng(0).normal(0, 35, (WAVES, 4)), [3], axis=1)
     mottle = np.sin(centre @ waves.T + phases.T).sum(1) / (2 * np.sqrt(WAVES))
     colour = skin * (1 + 0.045 * mottle)[:, None]
-    flush = np.isin(segment, ["left_hand", "right_hand", "left_foot", "right_foot"])
-    colour[flush] *= [1.0, 0.94, 0.92]
+    colour[of("left_hand", "right_hand", "left_foot", "right_foot")] *= [1.0, 0.94, 0.92]
 
     thigh = body.joint_centre["left_thigh"][2]
-    legs = np.isin(segment, ["pelvis", "abdomen", "thorax", "left_thigh", "right_thigh"])
+    legs = of("pelvis", "abdomen", "thorax", "left_thigh", "right_thigh")
     shorts = legs & (centre[:, 2] > thigh - 0.17) & (centre[:, 2] < thigh + 0.035)
     fold = 1 + 0.10 * np.sin(centre @ [70.0, 25, 12])
     colour[shorts] = cloth * fold[shorts, None]
@@ -136,18 +162,17 @@ def _face_colours(body: Body, appearance: Appearance) -> Array:
         below_shoulder = chest[chest[:, 2] < body.joint_centre["right_upper_arm"][2] - 0.07]
         upper = below_shoulder[below_shoulder[:, 2] > body.joint_centre["right_upper_arm"][2] - 0.20]
         bust = upper[upper[:, 1].argmin(), 2]
-        trunk = np.isin(segment, ["thorax", "left_clavicle", "right_clavicle"])
+        trunk = of("thorax", "left_clavicle", "right_clavicle")
         top = trunk & (np.abs(centre[:, 2] - bust + 0.005) < 0.075)
         colour[top] = cloth * fold[top, None]
 
-    _paint_head(body, centre, segment, colour, skin, hair, mottle)
+    _paint_head(body, centre, of("head"), colour, skin, hair, mottle)
     return colour
 
 
 def _paint_head(
-    body: Body, centre: Array, segment: Array, colour: Array, skin: Array, hair: Array, mottle: Array
+    body: Body, centre: Array, head: npt.NDArray[np.bool_], colour: Array, skin: Array, hair: Array, mottle: Array
 ) -> None:
-    head = segment == "head"
     eyes = [body.landmarks["eye.L"], body.landmarks["eye.R"]]
     eye_height, face_front = eyes[0][2], body.vertices_of("head")[:, 1].min()
     behind = centre[:, 1] > body.joint_centre["head"][1] + 0.03
@@ -226,7 +251,7 @@ def fine_paint(body: Body, appearance: Appearance) -> npt.NDArray[np.uint8]:
         return kept | {"painters": painters(fine)}
 
     facts: dict[str, object] = {"body": [body.name, body.sha256], "splits": SPLITS}
-    facts |= {"source": source_sha256(Path(__file__).parent), "numpy": np.__version__, "cv2": cv2.__version__}
+    facts |= {"source": source_sha256(Path(__file__).parent), "numpy": np.__version__}
     found = cached("paint", facts, compute)
     owner = found["owner"].astype(np.int64)[:, None]
     faces, weight = found["faces"].astype(np.int64), np.ones(owner.shape)

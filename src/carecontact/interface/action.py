@@ -18,7 +18,7 @@ MAX_CHUNK = 2000
 """Largest number of actions in one answer (a chunk)."""
 NEAR_BASE_M = 0.12
 """The robot's base stands there: no tool can be so near, but every difference of two poses is."""
-EVERY_SPACE = ("gripper", "done")
+EVERY_SPACE = ("gripper", "done", "look")
 """Fields of an action that belong to no space."""
 
 
@@ -37,11 +37,17 @@ class Action:
     wrench_in_tcp: npt.NDArray[np.float64] | None = None
     """(6,) feedforward in the axes of the tool, force [N] and torque [N m], that the robot adds to the spring's wrench
     and exerts on what it touches; None keeps the last, which is zero at first."""
+    delta: npt.NDArray[np.float64] | None = None
+    """(6,) translation and rotation for ``cartesian_delta``, in the numbers of the card's convention
+    (``interface.deltas``); None keeps the last target."""
     joint: npt.NDArray[np.float64] | None = None
     """(joints,) for the joint action spaces: angles [rad] or normalised velocities; None keeps the last target."""
     gripper: float | None = None
     """Opening in [0, 1]; None keeps the last. The closed-gripper embodiment ignores the value, but a value
     outside [0, 1] is still an error."""
+    look: tuple[str, ...] = ()
+    """Cameras of the card that take a view for the next observation, although their rate (``PolicyCard.camera_hz``)
+    does not require one; in a chunk, those that any of its actions names."""
     done: bool = False
     """True ends the trial after this action."""
 

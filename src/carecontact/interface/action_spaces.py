@@ -35,6 +35,7 @@ def check_action(action: Action, bounds: ActionBounds) -> Action:
     """
     return Action(
         pose_tcp_in_base=None if action.pose_tcp_in_base is None else _pose(action.pose_tcp_in_base, bounds),
+        delta=None if action.delta is None else _delta(action.delta),
         stiffness=None if action.stiffness is None else _stiffness(action.stiffness, bounds),
         damping_ratio=None if action.damping_ratio is None else _damping_ratio(action.damping_ratio),
         wrench_in_tcp=None if action.wrench_in_tcp is None else _wrench(action.wrench_in_tcp),
@@ -83,6 +84,22 @@ def _pose(given: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[n
     # that a pose must be checked once only: the last bits depend on how often.
     pose[3:] /= float(np.linalg.norm(pose[3:]))
     return pose
+
+
+def _delta(given: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    delta = np.asarray(given)
+    if delta.shape != (6,) or delta.dtype.kind not in "fiu":
+        hint = {
+            (7,): "; seven numbers look like a delta and a gripper: give the last one as gripper, an opening in [0, 1]",
+            (3,): "; three numbers look like a translation: add the three of the rotation",
+        }.get(delta.shape, "")
+        raise ActionError(
+            f"delta: expected 6 numbers (translation, rotation), got shape {delta.shape} {delta.dtype}{hint}"
+        )
+    delta = delta.astype(np.float64)
+    if not np.isfinite(delta).all():
+        raise ActionError(f"delta: expected finite numbers, got {delta.tolist()}")
+    return delta
 
 
 def allowed_stiffness(values: npt.NDArray[np.float64], bounds: ActionBounds) -> npt.NDArray[np.bool_]:
@@ -146,6 +163,22 @@ ACTION_SPACES.register(
         clipped=lambda action, session: clip_action(action, session.action_bounds),
     ),
 )
+
+
+ACTION_SPACES.register(
+    "cartesian_delta",
+    ActionSpace(
+        description=(
+            "Differences of the tool's pose in the convention that the card names as `delta`; optionally stiffness, "
+            "damping and a feedforward wrench."
+        ),
+        fields=("delta", "stiffness", "damping_ratio", "wrench_in_tcp"),
+        in_joints=False,
+        checked=lambda action, session: check_action(action, session.action_bounds),
+        clipped=lambda action, session: action,
+    ),
+)
+"""Bounds and border depend on the convention and on where the tool is: the driver knows them."""
 
 
 def joints_of(action: Action, session: Session, unit: str) -> npt.NDArray[np.float64]:

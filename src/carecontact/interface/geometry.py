@@ -39,6 +39,34 @@ def quat_from_matrix(matrix: Array) -> Array:
     return q if q[0] >= 0 else -q
 
 
+def matrix_from_vector(vector: Array) -> Array:
+    """(3,) rotation vector [rad], axis times angle -> (3, 3)."""
+    v = np.asarray(vector, np.float64)
+    half = float(np.linalg.norm(v)) / 2
+    # np.sinc(x) is sin(pi x) / (pi x).
+    return matrix_from_quat(np.array([np.cos(half), *(0.5 * np.sinc(half / np.pi) * v)]))
+
+
+def vector_from_matrix(matrix: Array) -> Array:
+    """(3, 3) -> (3,) rotation vector [rad] of at most half a turn."""
+    w, *rest = quat_from_matrix(matrix)
+    sine = float(np.linalg.norm(rest))
+    return np.array(rest) * (2.0 * np.arctan2(sine, w) / sine if sine > 0 else 2.0)
+
+
+def matrix_from_euler_xyz(angles: Array) -> Array:
+    """(3,) angles [rad] about the fixed axes x, y and z, applied in this order -> (3, 3)."""
+    x, y, z = (matrix_from_vector(angle * axis) for angle, axis in zip(angles, np.eye(3), strict=True))
+    return z @ y @ x
+
+
+def euler_xyz_from_matrix(matrix: Array) -> Array:
+    """(3, 3) -> (3,) angles [rad] about the fixed axes x, y and z, applied in this order; y within a quarter turn."""
+    m = np.asarray(matrix, np.float64)
+    y = np.arctan2(-m[2, 0], np.hypot(m[0, 0], m[1, 0]))
+    return np.array([np.arctan2(m[2, 1], m[2, 2]), y, np.arctan2(m[1, 0], m[0, 0])])
+
+
 def pixels(points_m: Array, intrinsics: Array, pose_camera: Array) -> Array:
     """(..., 3) points, (3, 3) pinhole matrix, (4, 4) camera pose in the points' frame -> (..., 2) u, v [px]."""
     in_camera = (points_m - pose_camera[:3, 3]) @ pose_camera[:3, :3]

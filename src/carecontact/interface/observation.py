@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -41,6 +42,8 @@ class CameraView:
     """(33, 3): u [px], v [px], visibility in [0, 1]; MediaPipe Pose order. All NaN: no person found."""
     landmarks_in_base: F32 | None = None
     """(33, 3) surface point under each landmark in base [m], NaN where depth does not allow one."""
+    sim_time_s: float = math.nan
+    """When the view was taken [s]. An observation gives its own time to a view that has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +54,42 @@ class Observation:
     joint_position: F64
     """(joints,) robot encoders [rad]"""
     joint_velocity: F64
-    """(joints,) [rad/s]"""
+    """(joints,) [rad/s], from the encoders"""
     gripper_position: F64
     """(1,) opening in [0, 1]; the closed-gripper embodiment always reads 0"""
     pose_tcp_in_base: F64
     """(7,) position [m], quat_wxyz"""
+    velocity_tcp_in_base: F64 | None = None
+    """(6,) velocity of the tool centre point [m/s] and angular velocity of the tool [rad/s], along the axes of the
+    base, as angles and speeds of the joints give them; None unless the card requests it (``tool_velocity``)"""
     cameras: dict[str, CameraView] = field(default_factory=dict[str, CameraView])
+    """The last view of each camera. ``new`` names those that were taken for this observation."""
+
+    def __post_init__(self) -> None:
+        timed = {
+            name: replace(view, sim_time_s=self.sim_time_s) if math.isnan(view.sim_time_s) else view
+            for name, view in self.cameras.items()
+        }
+        object.__setattr__(self, "cameras", timed)
+
+    @property
+    def new(self) -> tuple[str, ...]:
+        """The cameras whose views were taken for this observation; the card and the actions decide which
+        (``PolicyCard.camera_hz``, ``Action.look``)."""
+        return tuple(name for name, view in self.cameras.items() if view.sim_time_s == self.sim_time_s)
+
+
+class LastViews:
+    """Completes the observations of one trial with the last view of every camera that took none for them."""
+
+    def __init__(self) -> None:
+        self._views: dict[str, CameraView] = {}
+
+    def completed(self, observation: Observation) -> Observation:
+        """Return an observation, which holds new views only, with the earlier views beside them."""
+        self._views |= observation.cameras
+        return replace(observation, cameras=self._views)
+
+    def forget(self) -> None:
+        """Forget all views, because a new trial begins."""
+        self._views = {}

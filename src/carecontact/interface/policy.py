@@ -9,6 +9,7 @@ from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 
 from carecontact.errors import ConfigError, ContractError, did_you_mean
 from carecontact.interface.action import ACTION_SPACES, MAX_CHUNK, Action
+from carecontact.interface.deltas import DEFAULT_DELTAS, DELTA_SPACE, DELTAS
 from carecontact.interface.observation import MODALITIES, Observation
 from carecontact.interface.robot import CARTESIAN_IMPEDANCE, CONTROLS
 
@@ -16,6 +17,8 @@ CAMERAS = ("overhead", "bedside", "exterior", "wrist")
 OUT_OF_BOUNDS = ("error", "clip")
 MAX_NAME = 200
 """Characters of a card's name and language backend: they stand in headers, tables and file names."""
+MAX_CAMERA_HZ = 50.0
+"""The highest control rate: no policy can receive observations more often."""
 MAX_ARGUMENTS, MAX_ARGUMENT = 64, 2000
 """Number of arguments or variables of a policy, and characters of one value: they stand in every recording."""
 
@@ -26,9 +29,9 @@ SCHEMES: tuple[str, ...] = get_args(Scheme)
 """``ws`` is the native wire; the others are dialects (docs/dialects.md)."""
 OPTIONS: dict[str, tuple[str, ...]] = {
     "ws": (),
-    "openpi": ("profile", "horizon", "exterior"),
+    "openpi": ("profile", "horizon", "exterior", "orientation"),
     "roboarena": ("exterior",),
-    "vla-eval": ("space",),
+    "vla-eval": ("space", "profile", "orientation"),
 }
 """Scheme -> what may stand behind the question mark."""
 API_KEY = "CARECONTACT_API_KEY"
@@ -48,14 +51,23 @@ class PolicyCard:
     name: str
     action_space: str = "cartesian_pose"
     """Name from ACTION_SPACES."""
+    delta: str = ""
+    """Name from DELTAS, only for ``cartesian_delta``: what the numbers of a delta mean. Without a name there, ``osc``.
+    """
     control: str = CARTESIAN_IMPEDANCE
     """Name from CONTROLS: the controller that executes the actions. Joint spaces need one of the joint controllers."""
     modalities: tuple[str, ...] = ()
-    """Names from MODALITIES. At every ``act`` call, the policy receives each of them for each of its cameras; without
-    any, it receives what is known of each camera by calibration: where it stands and how it projects."""
+    """Names from MODALITIES. Every view of a camera holds each of them; without any, it holds what is known of the
+    camera by calibration: where it stands and how it projects."""
     cameras: tuple[str, ...] = ("overhead",)
+    camera_hz: Mapping[str, float] = field(default_factory=dict[str, float], hash=False)
+    """Camera -> rate at which it takes views, at most MAX_CAMERA_HZ. A camera with a rate of 0 takes one for the first
+    observation and whenever an action asks for one (``Action.look``); a camera that is not named here takes one for
+    every observation. Until its next view, every observation holds its last one (``Observation.new``)."""
     control_hz: float = 10.0
     """Rate at which the actions of a chunk are executed: 1-50 Hz."""
+    tool_velocity: bool = False
+    """Whether observations have ``velocity_tcp_in_base``."""
     language_backend: str = "none"
     """``none``, ``rules-v1``, ``replay:<hash>:<model>`` or ``live:<model>``; travels with every result. The model of
     completions that a person wrote is ``authored``."""
@@ -77,6 +89,11 @@ class PolicyCard:
                 _wrong(name, f"1 to {MAX_NAME} printable characters", text)
         if self.action_space not in ACTION_SPACES:
             _wrong("action_space", f"one of {', '.join(ACTION_SPACES)}", self.action_space)
+        if self.action_space == DELTA_SPACE and not self.delta:
+            object.__setattr__(self, "delta", DEFAULT_DELTAS)
+        if self.delta not in (DELTAS if self.action_space == DELTA_SPACE else ("",)):
+            valid = f"one of {', '.join(DELTAS)}, with the action space {DELTA_SPACE}"
+            _wrong("delta", f"{valid}, and nothing with any other", self.delta)
         fitting = controls_for(self.action_space)
         if self.control not in fitting:
             _wrong("control", f"one of {', '.join(fitting)}, with the action space {self.action_space}", self.control)
@@ -88,6 +105,9 @@ class PolicyCard:
                 _wrong(kind, expected, names)
             if unknown := [name for name in cast(Sequence[object], names) if name not in valid]:
                 _wrong(kind, expected, unknown[0])
+        object.__setattr__(self, "camera_hz", _camera_rates(given["camera_hz"], self.cameras))
+        if not isinstance(given["tool_velocity"], bool):
+            _wrong("tool_velocity", "True or False", given["tool_velocity"])
         check_arguments(given["arguments"])
         check_variables(given["environment"])
         rate = given["control_hz"]
@@ -103,9 +123,9 @@ class PolicyCard:
         """
         entries = {field.name: getattr(self, field.name) for field in fields(self)}
         entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "environment")}
-        entries["arguments"] = dict(self.arguments)
-        later: dict[str, object] = {"arguments": {}, "environment": [], "out_of_bounds": "error"}
-        later["control"] = CARTESIAN_IMPEDANCE
+        entries |= {name: dict(entries[name]) for name in ("arguments", "camera_hz")}
+        later: dict[str, object] = {"arguments": {}, "camera_hz": {}, "environment": [], "out_of_bounds": "error"}
+        later |= {"control": CARTESIAN_IMPEDANCE, "delta": "", "tool_velocity": False}
         return {name: value for name, value in entries.items() if name not in later or value != later[name]}
 
 
@@ -113,6 +133,22 @@ def controls_for(action_space: str) -> list[str]:
     """Return the controllers that can execute the actions of a space."""
     in_joints = ACTION_SPACES[action_space].in_joints
     return [name for name, control in CONTROLS.usable().items() if (control.joint is not None) == in_joints]
+
+
+def _camera_rates(given: object, cameras: Sequence[str]) -> dict[str, float]:
+    """Return the rates as they arrive over the wire. Raises ContractError for anything else than a mapping from cameras
+    of the card to rates."""
+    expected = f"a mapping from cameras of the card ({', '.join(cameras)}) to rates from 0 to {MAX_CAMERA_HZ:g} [Hz]"
+    if not isinstance(given, Mapping):
+        _wrong("camera_hz", expected, given)
+    rates: dict[str, float] = {}
+    for name, rate in cast(Mapping[object, object], given).items():
+        if name not in cameras or isinstance(rate, bool) or not isinstance(rate, int | float):
+            _wrong("camera_hz", expected, {name: rate})
+        if not 0 <= rate <= MAX_CAMERA_HZ:
+            _wrong("camera_hz", expected, {name: rate})
+        rates[str(name)] = float(rate)
+    return rates
 
 
 def check_arguments(given: object) -> None:

@@ -102,6 +102,9 @@ class Robot:
     """None: no place of this robot's base can be drawn by a seed."""
     wrist_geoms: tuple[str, ...] = ()
     """How the names begin of the geoms that the oracle keeps clear of the person."""
+    friction_nm: tuple[float, ...] = ()
+    """(joints,) dry friction that the robot's own controller does not compensate [N m], which a protocol may let act
+    (``protocol.sections.ArmErrors``); empty where it is not known."""
     hand_boxes_m: tuple[tuple[tuple[float, float, float], float], ...] = ()
     """Half sides, in the flange's axes, of boxes round fingers, hand and last links, and how far their middles are
     behind the tool centre point: what may hide a contact from a camera."""
@@ -148,6 +151,11 @@ PANDA = Robot(
         moved_wrist_m=(0.26, 0.712),
     ),
     wrist_geoms=tuple(f"robot_collision_{link}_" for link in ("hand", "link7", "link6", "link5")),
+    # phi_1 / 2 tanh(phi_2 w / 2), as identified by Gaz et al. (2019, IEEE Robot Autom Lett 4:4147; parameters in the
+    # authors' repository marcocognetti/FrankaEmikaPandaDynModel, franka_model.h), at w = 0.15 rad/s: a joint turns so
+    # fast while the tool scrubs with 0.07 m/s half a metre away. In the identified law friction fades as a joint comes
+    # to rest; that it stays and lets the joint stick is assumed. At the tool this is 1 to 2 N.
+    friction_nm=(0.1, 0.258, 0.205, 0.254, 0.233, 0.13, 0.184),
     # Measured on the meshes.
     hand_boxes_m=(((0.011, 0.026, 0.022), 0.036), ((0.032, 0.102, 0.041), 0.092), ((0.045, 0.060, 0.090), 0.210)),
 )
@@ -268,8 +276,22 @@ class ActionBounds:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Compliance:
+    """The Cartesian impedance as it is until an action changes it, and what damps it."""
+
+    stiffness: tuple[float, float]
+    """Translational [N/m] and rotational [N m/rad]."""
+    damping_ratio: float
+    """Share of critical damping: the damping of an axis is 2 * ratio * sqrt(stiffness * mass)."""
+    effective_mass_kg: float
+    """The mass in that formula for the translational axes."""
+    effective_inertia_kgm2: float
+    """The same for the rotational axes."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Session:
-    """What holds for every trial of a protocol: limits and cameras. Carries no seed, task id or label."""
+    """What holds for every trial of a protocol: limits, cameras and compliance. Carries no seed, task id or label."""
 
     action_bounds: ActionBounds
     joint_low_rad: tuple[float, ...]
@@ -279,3 +301,10 @@ class Session:
     camera_sizes_px: dict[str, tuple[int, int]]
     """Camera -> (width, height) [px], for every camera of the scene, whether the card requests it or not."""
     time_limit_s: float
+    compliance: Compliance | None = None
+    """None under a joint control, whose gains are those of its row in CONTROLS."""
+    force_bias_n: float = 0.0
+    """Standard deviation, along each axis, of a constant force at the tool that the arm exerts beside what is
+    commanded; 0: the arm is ideal."""
+    joint_friction_nm: tuple[float, ...] = ()
+    """(joints,) dry friction [N m] that the controller does not compensate; empty: the arm is ideal"""

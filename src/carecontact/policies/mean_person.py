@@ -20,7 +20,7 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import ActionBounds, Session
 from carecontact.policies.language.backend import Intent, Rules
 from carecontact.policies.language.completion import first_fault
-from carecontact.policies.motion import CONTROL_HZ, chunk
+from carecontact.policies.motion import CONTROL_HZ, Leg, chunk
 from carecontact.policies.state_machine import PlanningFailure, candidates
 
 F64 = npt.NDArray[np.float64]
@@ -106,12 +106,14 @@ class MeanPersonPolicy:
     and logs the reason.
     """
 
+    name = "mean-person"
+
     def __init__(self, *, person: Path | None = None) -> None:
         """``person``: file of tools/mean_person.py; default: the shipped one. Raises ConfigError."""
         self._person = read_person(person)
         self._rules = Rules()
         self.card = PolicyCard(
-            name="mean-person", cameras=(self._person.camera,), control_hz=CONTROL_HZ, language_backend=Rules.name
+            name=self.name, cameras=(self._person.camera,), control_hz=CONTROL_HZ, language_backend=Rules.name
         )
         self._bounds: ActionBounds | None = None
         self._intent: Intent | None = None
@@ -128,12 +130,20 @@ class MeanPersonPolicy:
         if self._intent is None:
             raise ContractError("act() was called before reset()")
         try:
-            return self._plan(self._intent, observation)
+            return self._begin(self._intent, observation)
         except ContractError as error:
             logger.warning("The mean person's policy ends the trial without touching: %s", error)
             return [Action(done=True)]
 
-    def _plan(self, intent: Intent, observation: Observation) -> list[Action]:
+    def _begin(self, intent: Intent, observation: Observation) -> Sequence[Action]:
+        """Return the first chunk of a trial. Raises PlanningFailure."""
+        return chunk(self._planned(intent, observation)[1], observation.pose_tcp_in_base)
+
+    def _planned(self, intent: Intent, observation: Observation) -> tuple[RegionGeometry, list[Leg]]:
+        """Return where the mean person has the region, and the state machine's way over it and back.
+
+        Raises PlanningFailure if nothing is known of the region, or the arm does not reach it.
+        """
         mean = self._person.regions.get(intent.region)
         if mean is None:
             raise PlanningFailure(f"nothing is known of the {intent.region} of the mean person")
@@ -141,4 +151,4 @@ class MeanPersonPolicy:
         geometry = geometry_in_base(intent.region, mean, pose)
         height = float(geometry.centre_m[2]) + mean.way_over_m
         options = candidates(geometry, start_pose=start, travel_height_m=height, bounds=self._bounds)
-        return chunk(options[self._rules.choose(intent, [option.option for option in options])].legs, start)
+        return geometry, options[self._rules.choose(intent, [option.option for option in options])].legs

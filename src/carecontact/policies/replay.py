@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -12,11 +13,12 @@ from zipfile import BadZipFile
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.errors import ConfigError, ContractError
+from carecontact.errors import ConfigError, ContractError, LanguageError
 from carecontact.interface.action import Action
 from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
+from carecontact.policies.language.backend import Rules
 
 F64 = npt.NDArray[np.float64]
 
@@ -86,7 +88,11 @@ CAMERA = "overhead"
 
 
 class Replay:
-    """Repeats the actions that were recorded for the same instruction, as the robot's base saw them."""
+    """Repeats the actions that were recorded for the same instruction, as the robot's base saw them.
+
+    An instruction that was not recorded gets the actions of the one that ``rules-v1`` understands in the same way:
+    those of "gently scrub the abdomen" for "gently scrub the foam off the abdomen".
+    """
 
     card = PolicyCard(name="replay", cameras=(), control_hz=CONTROL_HZ)
 
@@ -95,11 +101,20 @@ class Replay:
         self._donors = read_donors(donor)
 
     def reset(self, instruction: str) -> None:
-        """Choose the recording. Raises ContractError for an instruction that was not recorded."""
-        if instruction not in self._donors:
+        """Choose the recording. Raises ContractError for an instruction that is like none that was recorded."""
+        name = instruction if instruction in self._donors else self._alike(instruction)
+        if name is None:
             valid = ", ".join(sorted(self._donors))
             raise ContractError(f"{self.card.name} has no actions for the instruction {instruction!r}; valid: {valid}")
-        self._donor = self._donors[instruction]
+        self._donor = self._donors[name]
+
+    def _alike(self, instruction: str) -> str | None:
+        """Return the recorded instruction with the same intent; None where there is none, or no intent."""
+        rules = Rules()
+        with suppress(LanguageError):
+            wanted = rules.parse(instruction)
+            return next((name for name in sorted(self._donors) if rules.parse(name) == wanted), None)
+        return None
 
     def act(self, observation: Observation) -> Sequence[Action]:
         """Return all recorded actions as one chunk, of which the last one ends the trial."""

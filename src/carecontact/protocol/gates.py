@@ -29,6 +29,12 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+def absent(value: object) -> bool:
+    """Whether an optional section is not given. Such a section is left out of what is written and hashed, so that a
+    protocol without it keeps its hash."""
+    return value is None
+
+
 def registered(registry: Registry[Any]) -> Callable[[str], str]:
     """Return a validator that passes the names of a registry's rows; the error of any other name lists them."""
 
@@ -116,6 +122,42 @@ GATES: dict[str, dict[str, type[Section]]] = {
 """Shipped action -> ``gates.set`` -> schema of the table ``[gates.<action>]``."""
 
 
+# What a trial owes the person besides its task: the rules are in ``scoring.conduct``. Any set of gates may have it.
+
+
+class Conduct(Section):
+    """How gentle a trial of one action has to be from first touch to last, and that the tool does the work: every limit
+    is on the whole trial, and on the whole person where it names no place."""
+
+    peak_n: Positive
+    """No segment ever bears more [N]."""
+    above_n: Positive | None = None
+    """A larger force on any segment is above the band [N]; ``above_s`` limits its time."""
+    above_s: Annotated[float | None, Field(ge=0)] = None
+    """Longest time above the band, in all [s]."""
+    band_n: tuple[Positive, Positive] | None = None
+    """Range in which the held force (``scoring.held_force``) has to be for ``band_s`` [N]."""
+    band_s: Positive | None = None
+    """Least time in ``band_n``, in all [s]."""
+    comfortable_share: Fraction | None = None
+    """Least share of the time in contact with a comfortable mean pressure under the tool (``cells.COMFORT_MMHG``)."""
+    tool_share: Fraction | None = None
+    """Least share of the contact impulse that the tool applies."""
+    beside_n: Annotated[float | None, Field(ge=0)] = None
+    """Largest force of the robot's hand and links together on any segment [N]."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        for pair in (("above_n", "above_s"), ("band_n", "band_s")):
+            if (getattr(self, pair[0]) is None) != (getattr(self, pair[1]) is None):
+                raise ValueError(f"{' and '.join(pair)} belong together: give both or none")
+        if self.above_n is not None and self.above_n >= self.peak_n:
+            raise ValueError(f"above_n {self.above_n:g} has to be below peak_n {self.peak_n:g}")
+        if self.band_n is not None and not self.band_n[0] < self.band_n[1] <= self.peak_n:
+            raise ValueError(f"band_n: expected [least, most] with least < most <= peak_n, got {list(self.band_n)}")
+        return self
+
+
 class Action(ABC):
     """What a protocol needs to know of an action: the schema of its gate."""
 
@@ -149,6 +191,17 @@ def _gate(named: tuple[str, str, object]) -> Section:
         raise ValueError(str(error)) from None
 
 
+class FoamGate(Section):
+    """What a task with foam asks for besides its action's own gate (``scoring.foam``)."""
+
+    cleaned_share: Fraction
+    """A scrub cleans at least this share of the foam's area: it takes the place of the length that a scrub passes."""
+    within_m: Positive
+    """Any other action acts at the foam: the tool's middle is within this distance of the foam's along the skin [m]"""
+    impulse_share: Fraction
+    """for at least this share of the contact impulse."""
+
+
 class Gates(Section):
     """Every field besides those named here is an action with the table of its behaviour: ``gates.push.force_n``."""
 
@@ -166,6 +219,10 @@ class Gates(Section):
     about 5 degrees, so a limit below that judges the goniometer."""
     joint_consumed: Fraction | None = None
     """A joint that used up more than this share of its settled margin is flagged; it fails no trial."""
+    conduct: dict[str, Conduct] | None = Field(default=None, exclude_if=absent)
+    """Action -> what its trials owe the person besides the task. An action without a row has its own table alone."""
+    foam: FoamGate | None = Field(default=None, exclude_if=absent)
+    """For tasks on whose region the protocol puts foam; those without foam are judged by their actions alone."""
 
     def of(self, action: str) -> Section:
         """Return the table of an action. Raises UnknownNameError, which lists the actions that have one."""
@@ -188,6 +245,13 @@ class Gates(Section):
         tables = cast("Mapping[str, object]", content)
         gates = str(tables.get("set"))
         return {name: table if name in cls.model_fields else (gates, name, table) for name, table in tables.items()}
+
+    @model_validator(mode="after")
+    def _conduct_of_actions(self) -> Self:
+        for action in self.conduct or {}:
+            if action not in self.actions:
+                raise ValueError(f"conduct.{action}: no table of this action; valid: {', '.join(self.actions)}")
+        return self
 
     @model_validator(mode="after")
     def _joints_in_the_exam(self) -> Self:

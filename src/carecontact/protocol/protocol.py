@@ -11,11 +11,13 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from carecontact.interface.regions import REGIONS
-from carecontact.protocol.gates import ContactDefinition, FileStem, Gates, Section, Task, regions_of
+from carecontact.protocol.gates import ContactDefinition, FileStem, Gates, Section, Task, absent, regions_of
 from carecontact.protocol.person import Person
 from carecontact.protocol.sections import (
     SEGMENT_PARTS,
+    ArmErrors,
     Camera,
+    Foam,
     ForceLimits,
     Impedance,
     Level,
@@ -94,10 +96,29 @@ def _contradictions(rules: Protocol) -> Iterator[str]:
         yield f"limits.f_pain_n: expected at least one segment, each above 0 N, got {pain}"
     for unknown in sorted(pain.keys() - set(SEGMENT_PARTS)):
         yield f"limits.f_pain_n: no segment {unknown!r}; valid: {', '.join(SEGMENT_PARTS)}"
+    robot, errors = rules.scene.robot, rules.arm_errors
+    if errors is not None and errors.friction and len(robot.friction_nm) != len(robot.joints):
+        yield f"arm_errors.friction: the friction of robot {robot.id} is not known; expected 0, got {errors.friction:g}"
+    yield from _of_foam(rules, ids)
     yield from _disordered(rules)
     steps = rules.physics.target_period_s / rules.physics.dt_s
     if abs(steps - round(steps)) > 1e-9:
         yield f"physics.target_period_s: expected a whole number of dt_s, got {steps:g} of them"
+
+
+def _of_foam(rules: Protocol, ids: list[str]) -> Iterator[str]:
+    """What foam needs: tasks that exist, on soft regions, whose cells say what was wiped, and a gate."""
+    if rules.foam is None:
+        return
+    for task_id in rules.foam.prompts:
+        if task_id not in ids:
+            yield f"foam.prompts.{task_id}: no such task; valid: {', '.join(ids)}"
+        elif not REGIONS[rules.task(task_id).region].soft:
+            yield f"foam.prompts.{task_id}: the {rules.task(task_id).region} is rigid, and foam needs soft skin"
+    if rules.gates.set != "exam":
+        yield f"gates.set: foam needs the exam's gates, got {rules.gates.set}"
+    if rules.gates.foam is None:
+        yield "gates.foam: missing, and [foam] needs it"
 
 
 def _disordered(rules: Protocol) -> Iterator[str]:
@@ -138,11 +159,14 @@ class Protocol(Section):
     scene: Scene
     cameras: dict[Literal["overhead", "bedside", "exterior", "wrist"], Camera]
     impedance: Impedance
+    arm_errors: ArmErrors | None = Field(default=None, exclude_if=absent)
     person: Person
     tasks: list[Task]
     contact: ContactDefinition
     gates: Gates
     limits: ForceLimits
+    foam: Foam | None = Field(default=None, exclude_if=absent)
+    """Foam that marks where to touch and what to clean; None: there is none."""
     level: str = ""
     """Which level of its file this is; empty for a file without levels (``protocols.levels``)."""
     levels: dict[str, Level] = Field(default_factory=dict[str, Level])
@@ -171,8 +195,15 @@ class Protocol(Section):
         return tuple(name for name in self.regions if name in self.person.tissue)
 
     def task(self, task_id: str) -> Task:
-        """Raises KeyError; callers that face users check the id first."""
-        return {t.id: t for t in self.tasks}[task_id]
+        """Return a task with the prompt that a policy receives, which names the foam where there is some. Raises
+        KeyError; callers that face users check the id first."""
+        task = {t.id: t for t in self.tasks}[task_id]
+        prompt = None if self.foam is None else self.foam.prompts.get(task_id)
+        return task if prompt is None else task.model_copy(update={"prompt": prompt})
+
+    def has_foam(self, task_id: str) -> bool:
+        """Whether a task's region has foam on it."""
+        return self.foam is not None and task_id in self.foam.prompts
 
     def f_pain(self, segment: str) -> float:
         """F_pain [N] of a segment; ``right_forearm`` and ``left_forearm`` are both ``forearm``."""
@@ -188,6 +219,11 @@ class Protocol(Section):
         for fault in _contradictions(self):
             raise ValueError(fault)
         return self
+
+    @property
+    def draws(self) -> bool:
+        """Whether a recording has to say what the seed drew of the world."""
+        return self.variation.draws_models or self.arm_errors is not None
 
     @property
     def drawn_as(self) -> str:

@@ -7,8 +7,11 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from carecontact.interface.regions import SEGMENTS
-from carecontact.interface.robot import EMBODIMENTS, ActionBounds, Robot
-from carecontact.protocol.gates import Positive, Section, Vec3, registered
+from carecontact.interface.robot import EMBODIMENTS, ActionBounds, Compliance, Robot
+from carecontact.protocol.gates import Fraction, Length, Positive, Section, Vec3, registered
+
+DAMPING_RATIO = 1.0
+"""Share of critical damping of the Cartesian impedance until an action changes it."""
 
 
 class Impedance(Section):
@@ -23,6 +26,16 @@ class Impedance(Section):
     torque_clamp_nm: Positive
     workspace_low_m: Vec3
     workspace_high_m: Vec3
+
+    @property
+    def compliance(self) -> Compliance:
+        """What acts until an action changes it, which a policy receives with the bounds."""
+        return Compliance(
+            stiffness=(self.translational_n_m, self.rotational_nm_rad),
+            damping_ratio=DAMPING_RATIO,
+            effective_mass_kg=self.effective_mass_kg,
+            effective_inertia_kgm2=self.effective_inertia_kgm2,
+        )
 
     @property
     def action_bounds(self) -> ActionBounds:
@@ -136,6 +149,22 @@ class BasePlacement(Section):
     """A person for whom no base serves after so many draws is replaced by another draw."""
 
 
+class ArmErrors(Section):
+    """How a real arm differs from its model; the arm of a protocol without this table is ideal. A policy learns these
+    sizes (``interface.robot.Session``), and never what was drawn."""
+
+    force_bias_n: Annotated[float, Field(ge=0, le=5)] = 1.0
+    """Standard deviation of a force at the tool, along each axis of the base, that the arm exerts beside what is
+    commanded; drawn by the seed, constant in a trial. Assumed: the maker of the shipped arm gives all of its arms the
+    masses of an average one (frankarobotics/franka_ros, issue 404), and what that leaves is not published."""
+    friction: Annotated[float, Field(ge=0, le=5)] = 1.0
+    """Dry friction of the joints, as a multiple of what was identified (``Robot.friction_nm``)."""
+
+    def joint_friction_nm(self, robot: Robot) -> tuple[float, ...]:
+        """(joints,)"""
+        return tuple(self.friction * torque for torque in robot.friction_nm)
+
+
 DRAWN = ("bodies", "shoulder_rotation_deg", "palm_deg", "place_toward_head_m", "overhead_shift_m", "overhead_turn_deg",
          "parking")  # fmt: skip
 """Fields that change the compiled model with the seed."""
@@ -167,7 +196,8 @@ class Variation(Section):
     depth_noise: Literal["none", "structured-light-v1"] = "none"
     """``observation.sensor_noise``"""
     encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    """Standard deviation, every joint and reading on its own; joint speeds stay."""
+    """Standard deviation, every joint and reading on its own. The joints' speeds get noise that belongs to it
+    (``sensing.builder.SPEED_PER_ANGLE``)."""
     place_along_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """The person, with pillow and arm board, lies elsewhere on the bed: uniform up to so far either way along it."""
     place_across_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
@@ -206,6 +236,43 @@ class Variation(Section):
     def draws_models(self) -> bool:
         """Whether trials of one region and several seeds have several compiled models."""
         return any(getattr(self, name) != type(self).model_fields[name].default for name in DRAWN)
+
+
+Rgb = tuple[int, int, int]
+
+FOAM_COLOURS: dict[str, Rgb] = {"cyan": (0, 236, 232), "lime": (110, 235, 0), "magenta": (236, 0, 190)}
+"""Colours of foam as sRGB under the default light: at least 40 in CIELAB (delta E of 1976) from every skin, garment,
+hair, linen and part of the robot, which white, pale blue and pink are not. A test measures it."""
+
+
+def _foam_colour(name: str) -> str:
+    if name not in FOAM_COLOURS:
+        raise ValueError(f"no colour named {name!r}; valid: {', '.join(FOAM_COLOURS)}")
+    return name
+
+
+class Foam(Section):
+    """A patch of foam on the skin of the region that a task names (``human.foam``). It has a colour and no substance:
+    neither depth images nor forces know of it."""
+
+    along: tuple[Fraction, Fraction]
+    """The patch's middle, as shares of the region's length from the end nearer the trunk (abdomen: the feet)."""
+    around_deg: Annotated[float, Field(ge=0, le=60)]
+    """The middle lies up to so far either way from the side of the region that faces up, about the region's axis."""
+    disc_m: Length
+    """Radius of the disc of every task but a scrub."""
+    oval_m: tuple[Length, Length]
+    """Half length along the region and half width across it of a scrub's oval."""
+    colours: Annotated[tuple[Annotated[str, AfterValidator(_foam_colour)], ...], Field(min_length=1)]
+    """The seed draws one of them."""
+    prompts: dict[str, str]
+    """Task -> its instruction with the foam, in place of the task's own. A task that is not named has no foam."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.along[0] > self.along[1]:
+            raise ValueError(f"along: expected [low, high], low at most high, got {list(self.along)}")
+        return self
 
 
 class Vision(Section):

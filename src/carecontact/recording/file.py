@@ -20,6 +20,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from carecontact.errors import CarecontactError, RecordingError, StorageError
+from carecontact.recording.pictures import FILM
 from carecontact.recording.provenance import missing_suppliers
 from carecontact.recording.schema import (
     STORABLE_KINDS,
@@ -47,8 +48,11 @@ def no_space(place: Path, why: str | None) -> StorageError:
 
 
 def header_json(header: Header) -> bytes:
-    """Return one spelling of a header: sorted keys, no white space, ASCII."""
-    return json.dumps(header.model_dump(mode="json"), sort_keys=True, separators=(",", ":")).encode("ascii")
+    """Return one spelling of a header: sorted keys, no white space, ASCII. A field that headers did not always have is
+    left out at its default, so that such a header is spelled as it always was."""
+    left_out = {name for name in ("origin",) if getattr(header, name) == Header.model_fields[name].default}
+    content = header.model_dump(mode="json", exclude=left_out)
+    return json.dumps(content, sort_keys=True, separators=(",", ":")).encode("ascii")
 
 
 def little_endian(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -115,8 +119,9 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
             array, more = little_endian(recording.arrays[name]), {}
             if array.nbytes >= CHUNKED_FROM_BYTES:
                 rows = max(1, min(len(array), CHUNK_BYTES // max(1, array[0].nbytes)))
-                more = {"chunks": (rows, *array.shape[1:]), "compression": "gzip", "compression_opts": GZIP_LEVEL}
-                more |= {"shuffle": True, "fletcher32": True}
+                more = {"chunks": (rows, *array.shape[1:]), "fletcher32": True}
+                if not name.startswith(FILM):  # which is compressed already
+                    more |= {"compression": "gzip", "compression_opts": GZIP_LEVEL, "shuffle": True}
             file.create_dataset(name, data=array, **more)
         file.flush()
         image: bytes = file.id.get_file_image()

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import ConfigError, DependencyError, RecordingError
 from carecontact.interface.geometry import pose_matrix, quat_from_matrix
+from carecontact.interface.policy import CAMERAS
+from carecontact.pictures import png
+from carecontact.recording.pictures import Pictures
 from carecontact.recording.schema import Recording
 
 F32 = npt.NDArray[np.float32]
+LOOKED = "policy/looked"
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Names of a pose: position [m] and quaternion."""
 
@@ -36,10 +40,10 @@ class Episode:
     fps: float
     """Number of rows in a second of simulated time, an int where it is whole."""
     streams: dict[str, Stream]
-    images: dict[str, list[npt.NDArray[np.uint8]]] = field(default_factory=dict[str, list[Any]])
+    images: Mapping[str, Sequence[npt.NDArray[np.uint8]]] = field(default_factory=dict[str, Any])
     """Camera -> (H, W, 3) images, in the order in which they were sent."""
-    shown: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(M,) index of the image that the policy had when it chose the action."""
+    shown: Mapping[str, npt.NDArray[np.int64]] = field(default_factory=dict[str, Any])
+    """Camera -> (M,) index of the image that the policy had when it chose the action."""
 
     def __len__(self) -> int:
         return len(self.streams["action"].values)
@@ -71,14 +75,24 @@ def episode_of(recording: Recording, *, force: bool = False) -> Episode:
         rows = _steps(recording)
         norm = np.linalg.norm(recording["scorer/force_human_from_robot_in_world"][rows], axis=2)
         streams["scorer.force"] = Stream(names=tuple(header.segments), values=norm.astype(np.float32))
-    used = sorted(set(index.tolist()))
     cameras: list[str] = card["cameras"] if "rgb" in card["modalities"] else []
+    taken = {camera: _taken(recording, camera)[index] for camera in cameras}
+    if LOOKED in recording.arrays and cameras:
+        seen = np.stack([recording["policy/observation_time_s"][taken[camera]] for camera in cameras], 1)
+        age = (recording["actions/time_s"][:, None] - seen).astype(np.float32)
+        streams["observation.view_age_s"] = Stream(names=tuple(cameras), values=age)
+    pictures = Pictures(recording)
+    for camera, at in taken.items():
+        if absent := sorted({int(k) for k in at if (int(k), camera, "rgb") not in pictures}):
+            raise RecordingError(
+                f"{title}: the recording does not hold the image of {camera} at observation {absent[0]}"
+            )
     return Episode(
         instruction=spec.protocol.task(spec.task_id).prompt,
         fps=_fps(recording, title),
         streams=streams,
-        images={camera: [_image(recording, title, k, camera) for k in used] for camera in cameras},
-        shown=np.searchsorted(used, index),
+        images={camera: _Images(pictures, camera, np.unique(at).tolist()) for camera, at in taken.items()},
+        shown={camera: np.unique(at, return_inverse=True)[1] for camera, at in taken.items()},
     )
 
 
@@ -140,11 +154,27 @@ def _tool(recording: Recording) -> F32:
     return np.array(rows, np.float32)
 
 
-def _image(recording: Recording, title: str, index: int, camera: str) -> npt.NDArray[np.uint8]:
-    path = f"policy/frames/{index:04d}/{camera}/rgb"
-    if path not in recording.arrays:
-        raise RecordingError(f"{title}: the recording does not hold the image of {camera} at observation {index}")
-    return recording[path]
+def _taken(recording: Recording, camera: str) -> npt.NDArray[np.int64]:
+    """(A,) for each observation the one whose view of the camera it held: the last one for which the camera took one.
+    The first observation of a trial has a view of every camera."""
+    own = np.arange(len(recording["policy/observation_time_s"]))
+    if LOOKED not in recording.arrays:
+        return own
+    new = recording[LOOKED][:, CAMERAS.index(camera)] > 0
+    return np.maximum.accumulate(np.where(new, own, 0))
+
+
+class _Images(Sequence[npt.NDArray[np.uint8]]):
+    """The colour images of a camera at some observations, each made when it is used."""
+
+    def __init__(self, pictures: Pictures, camera: str, indices: list[int]) -> None:
+        self._pictures, self._camera, self._indices = pictures, camera, indices
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    def __getitem__(self, at: Any) -> Any:
+        return self._pictures[self._indices[at], self._camera, "rgb"]
 
 
 Format = Literal["v3.0", "v2.1"]
@@ -201,7 +231,9 @@ class Dataset:
         chunk, file = divmod(number, FILES_IN_CHUNK)
         place = {"chunk_index": chunk, "file_index": file, "episode_chunk": chunk, "episode_index": number}
         columns = {key: s.values for key, s in episode.streams.items()} | self._indices(episode, number)
-        pixels = {IMAGE + camera: _histogram(images, episode.shown) for camera, images in episode.images.items()}
+        pixels = {
+            IMAGE + camera: _histogram(images, episode.shown[camera]) for camera, images in episode.images.items()
+        }
         features = {**self._features, **_INDEX_FEATURES}
         _write(self.folder / DATA_PATHS[self.version].format(**place), columns, _encoded(episode), features)
         for key, values in columns.items():
@@ -304,8 +336,8 @@ def _encoded(episode: Episode) -> dict[str, list[dict[str, Any]]]:
     """Camera's column -> the image of every row as PNG."""
     columns: dict[str, list[dict[str, Any]]] = {}
     for camera, images in episode.images.items():
-        png = [{"bytes": cv2.imencode(".png", image[:, :, ::-1])[1].tobytes(), "path": None} for image in images]
-        columns[IMAGE + camera] = [png[k] for k in episode.shown]
+        encoded = [{"bytes": png(image), "path": None} for image in images]
+        columns[IMAGE + camera] = [encoded[k] for k in episode.shown[camera]]
     return columns
 
 
@@ -375,7 +407,7 @@ def _stats(columns: dict[str, Any], pixels: dict[str, Any]) -> dict[str, Any]:
     return stats
 
 
-def _histogram(images: list[Any], shown: Any) -> Any:
+def _histogram(images: Sequence[Any], shown: Any) -> Any:
     """(3, 256) how often each channel has each level, over all pixels of all rows."""
     total = np.zeros((3, 256), np.int64)
     for image, rows in zip(images, np.bincount(shown, minlength=len(images)), strict=True):

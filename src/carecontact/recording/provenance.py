@@ -16,12 +16,12 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.recording.schema import Recording
 from carecontact.system import installed_version
 
-PACKAGES = ("mujoco", "numpy", "scipy", "mediapipe", "opencv-python-headless")
+PACKAGES = ("mujoco", "numpy", "scipy", "ai-edge-litert", "pillow")
 """Packages on which the numbers of every trial rest."""
-SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers", "pillow")}
+SEGMENTER_PACKAGES = {"mediapipe": (), "grounded-sam": ("torch", "transformers", "tokenizers")}
 """Segmenter -> what it runs on besides the packages of every trial."""
 
-DECLARED = {"world": "2", "kernel": "3", "perception": "1", "noise": "1"}
+DECLARED = {"world": "2", "kernel": "3", "perception": "2", "noise": "1"}
 """Part of the simulation -> its declared version, by which a recording says in which world its trial ran. The version
 of a part is raised with every change that moves a number by more than rounding; tests/golden/test_declared.py presses
 the person and compares with the numbers of this version, to a relative 5e-4. Bytes that depend on the machine, such as
@@ -72,12 +72,14 @@ RENDERER = "wall/renderer"
 
 
 def provenance_of(recording: Recording) -> dict[str, str]:
-    """Return ``arithmetic`` and ``renderer``, as far as recorded, and the hashes of the compiled ``model`` and of the
-    ``kernel``'s binary."""
+    """Return ``arithmetic`` and ``renderer``, as far as recorded, the hashes of the compiled ``model`` and of the
+    ``kernel``'s binary, and the ``origin`` of a recording that is not ``isolated``."""
     texts = {"arithmetic": ARITHMETIC, "renderer": RENDERER}
     found = {
         name: recording[path].tobytes().decode(errors="replace") for name, path in texts.items() if path in recording
     }
+    if recording.header.origin != "isolated":
+        found["origin"] = recording.header.origin
     return found | {
         name: recording.header.sha256[name] for name in ("model", "kernel") if name in recording.header.sha256
     }

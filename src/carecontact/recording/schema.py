@@ -29,6 +29,11 @@ RELEASE_0_1_0 = "0.1.0 (commit 663c7e2317bf04e7b79c6a85d596936bd4fd816c)"
 """The release that reads the schemas of ``READ_BY_0_1_0``, as CHANGELOG.md names it."""
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
+Origin = Literal["isolated", "served", "in-process"]
+"""Who held the loop of a trial: a trial's worker (``running.worker``), with the policy in a process of its own that it
+isolated, or behind an address; or any other program, which had policy and simulation in one process."""
+RANKED: tuple[Origin, ...] = ("isolated", "served")
+"""Origins of the recordings that comparisons, ranked tables and merged runs accept."""
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
 CUTS = ("force", "solver", "joint_speed", "tool_speed")
 """Kinds of the failure of a trial that the benchmark stopped: a force above the limit, diverging physics, and a joint
@@ -70,11 +75,14 @@ ARRAYS: dict[str, tuple[str, str]] = {
 """Required arrays: dtype and meaning."""
 
 OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
+    "actions/delta": ("f8", "(M, 6) numbers of ``cartesian_delta``, NaN where the action kept the last target"),
     "actions/joint": ("f8", "(M, Q) joint positions [rad] or velocities, as the card's action space has them"),
     "actions/axis_stiffness": ("f8", "(M, 6) in force, per axis of the target: x y z [N/m], about x y z [N m/rad]"),
     "actions/clipped": ("u1", "(M,) 1 where a target outside the workspace was moved onto its border"),
+    "actions/look": ("u1", "(M, V) 1 for each camera that the action asks for a view"),
     "actions/damping_ratio": ("f8", "(M,) in force"),
     "actions/wrench_in_tcp": ("f8", "(M, 6) feedforward in force: force [N], torque [N m]"),
+    "policy/looked": ("u1", "(A, V) 1 for each camera that took a view for the observation"),
     "policy/believed_pose_camera_in_base": ("f8", "(A, V, 7) as it was shown, with the calibration's error; else NaN"),
     "scorer/pose_camera_in_base": ("f8", "(A, V, 7) where each camera is; 0 for one that the protocol lacks"),
     "scorer/human_joint_reaction": ("f4", "(T, J) [N m] torque of each scored joint's end stop"),
@@ -87,6 +95,9 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/cell_shear_ns": ("f4", "(P, C) size of the friction force times time, summed over the period"),
     "scorer/cell_slip_m3": ("f4", "(P, C) distance that the tool slid times area, summed over the period"),
     "scorer/cell_touch_m2s": ("f4", "(P, C) area in contact times time, summed over the period"),
+    "scorer/foam_pose_in_region": ("f8", "(7,) middle on the skin, x along the region, z outward"),
+    "scorer/foam_half_m": ("f8", "(2,) half length along the region, half width across it"),
+    "scorer/foam_cell_share": ("f4", "(C,) share of each cell under foam at t = 0; what is left follows from cell_*"),
     "scorer/breath_m": ("f4", "(P, 2) how far out abdomen and chest are, from the end of a breath out"),
     "scorer/muscle_torque_nm": ("f4", "(P, 4) the person's own, at the joints of tissue.life.JOINTS, in the last step"),
     "scorer/muscle_work_j": ("f4", "(P, 2) that breathing and the arm's muscles have done since t = 0"),
@@ -99,11 +110,14 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
 soft region: cells are patches of about 7.5 mm (``human.soft_region.DeclaredCells``), and a row sums what happened
 since the row before it. ``scorer/region_law`` is there where the law of a region is not its row in the
-protocol: on a body of another build, and where the seed draws the tissue. ``scorer/beside_*`` are there where another
+protocol: on a body of another build, and where the seed draws the tissue. ``policy/looked`` and
+``actions/look`` are there where the card gives a camera a rate; elsewhere, every camera of the card takes a view for
+every observation. ``scorer/beside_*`` are there where another
 part of the robot than its tip (``interface.robot.Tip``) touched the person. What the person does by itself is there
 where the protocol lets it do something
 (``protocol.person``). These paths are allowed as well:
-``policy/frames/<index>/<camera>/<modality>``, ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
+``policy/frames/<index>/<camera>/<modality>`` and ``policy/film/<camera>/<modality>/*`` (``recording.pictures``),
+``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
 the skin round the target region, dented as at the peak, with its triangles ``report/skin_faces`` (F, 3) i4,
 ``perception/*`` (``recording.notes``), and ``wall/*``, the only place for what may differ between two runs of the
@@ -143,6 +157,8 @@ class Header(BaseModel):
     """Id of the controller that executed the actions; None if the card never came."""
     privileged: bool = False
     """Whether the policy was given the simulation: such a trial shows what can be done and ranks no method."""
+    origin: Origin = "isolated"
+    """Who held the loop. A worker runs a privileged policy in its own process."""
     embodiment: str
     comfort_arm_deg: float | None
     """Measured after settling."""

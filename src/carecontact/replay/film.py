@@ -25,6 +25,7 @@ from PIL import Image
 
 from carecontact.episode.randomization import randomize_appearance, set_place
 from carecontact.errors import DependencyError, RecordingError
+from carecontact.human.foam import FoamPatch
 from carecontact.recording.schema import Recording
 from carecontact.replay.panel import HEIGHT as PANEL_HEIGHT
 from carecontact.replay.panel import PAPER, Panel, Picture, Story, box, faded, story_of, text_width, write
@@ -33,6 +34,7 @@ from carecontact.replay.replay import KIND_TEXTS, STATE, Kind, Replay, ReplayQua
 from carecontact.replay.stage import FilmSkin, SkinGrid, Stage, film_scene
 from carecontact.replay.views import CONTACT, Camera, ViewAt, check_view, clear_view, view_of
 from carecontact.report.timeline import Event
+from carecontact.scoring.foam import RecordedWiping
 from carecontact.tissue import plugin
 
 INSET = (268, 151)
@@ -50,6 +52,8 @@ class Moment:
     state: npt.NDArray[np.float64]
     """integration state"""
     kind: Kind
+    foam_left: npt.NDArray[np.float64] | None
+    """(C,) share of the foam that is left on each cell; None without foam"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +64,7 @@ class Picturing:
     """a film's (``film.skin.film_scene``)"""
     skin: FilmSkin
     """of that model"""
+    foam: FoamPatch | None
     view: ViewAt
     inset: ViewAt | None
     """View of the small picture of the room; None draws none."""
@@ -81,6 +86,7 @@ class Painter:
         self._what = what
         self._data = mujoco.MjData(what.model)
         self._panels: dict[Kind, Panel] = {}
+        self._foam_left: npt.NDArray[np.float64] | None = None
         self._stage = Stage(what.model, what.skin, width=what.size[0], height=what.size[1], lamps=what.lamps)
 
     def __enter__(self) -> Painter:
@@ -112,7 +118,11 @@ class Painter:
         return np.hstack([picture, self._panels[moment.kind].at(moment.time_s)])
 
     def _move_to(self, moment: Moment) -> None:
-        model = self._what.model
+        model, foam, left = self._what.model, self._what.foam, moment.foam_left
+        if foam is not None and left is not None and (self._foam_left is None or (left != self._foam_left).any()):
+            foam.paint(model, left)
+            self._stage.skin_changed()
+            self._foam_left = left
         mujoco.mj_setState(model, self._data, moment.state, STATE)
         mujoco.mj_kinematics(model, self._data)
         mujoco.mj_camlight(model, self._data)
@@ -247,7 +257,7 @@ class Film:
         """The camera at each time."""
         inset = panel and view != INSET_CAMERA and INSET_CAMERA in spec.protocol.cameras
         self._what = Picturing(
-            model=scene.model, skin=skin, view=self.view, size=size, lamps=lamps, shadows=shadows,
+            model=scene.model, skin=skin, foam=scene.foam, view=self.view, size=size, lamps=lamps, shadows=shadows,
             inset=view_of(INSET_CAMERA, recording) if inset else None,
             story=story_of(recording) if panel else None,
             grid=SkinGrid(scene, region) if grid and region in scene.regions else None,
@@ -272,12 +282,14 @@ class Film:
 
     def _batches(self, begin_s: float, end_s: float) -> Iterator[list[Moment]]:
         """Frames with one small picture of the room in common."""
+        wiping = RecordedWiping.of(self.replay.recording)
         for stretch in self.replay.stretches(self._fps):
             self.found.take(stretch)
-            moments = [
-                Moment(time_s=float(step) * self.replay.dt_s, state=state, kind=stretch.kind)
-                for step, state in zip(stretch.steps, stretch.states, strict=True)
-            ]
+            moments: list[Moment] = []
+            for step, state in zip(stretch.steps, stretch.states, strict=True):
+                time_s = float(step) * self.replay.dt_s
+                left = None if wiping is None else wiping.until(time_s).left
+                moments.append(Moment(time_s=time_s, state=state, kind=stretch.kind, foam_left=left))
             shown = [moment for moment in moments if begin_s <= moment.time_s <= end_s]
             for _, batch in groupby(shown, key=lambda moment: int(moment.time_s * INSET_HZ + 1e-6)):
                 yield list(batch)

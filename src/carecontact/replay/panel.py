@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from carecontact.interface.regions import REGIONS, Tube
+from carecontact.pictures import FINENESS, coverage, fine
 from carecontact.plotting import import_matplotlib
 from carecontact.recording.reason import ended_text
 from carecontact.recording.schema import Recording
@@ -33,7 +33,6 @@ SOFT: Colour = (112, 114, 120)
 FAINT: Colour = (222, 220, 216)
 ACCENT: Colour = (190, 58, 40)
 GHOST: Colour = (226, 196, 186)
-FRACTION_BITS = 4
 
 
 @cache
@@ -68,8 +67,9 @@ def write(
 def line(picture: Picture, points: npt.NDArray[np.floating], colour: Colour, *, width: int = 1) -> None:
     """A polyline through (N, 2) pixels, in place."""
     if len(points) > 1:
-        fixed = np.round(np.asarray(points) * (1 << FRACTION_BITS)).astype(np.int32)
-        cv2.polylines(picture, [fixed], False, colour, width, cv2.LINE_AA, FRACTION_BITS)
+        _mark(
+            picture, points, colour, width, lambda on, at: on.line(at.ravel().tolist(), 255, FINENESS * width, "curve")
+        )
 
 
 def dashes(picture: Picture, x0: float, x1: float, y: float, colour: Colour) -> None:
@@ -79,9 +79,22 @@ def dashes(picture: Picture, x0: float, x1: float, y: float, colour: Colour) -> 
 
 
 def dot(picture: Picture, x: float, y: float, radius: float, colour: Colour) -> None:
-    scale = 1 << FRACTION_BITS
-    centre = (round(x * scale), round(y * scale))
-    cv2.circle(picture, centre, round(radius * scale), colour, -1, cv2.LINE_AA, FRACTION_BITS)
+    _mark(picture, np.array([[x, y]]), colour, radius, lambda on, at: on.circle(at[0].tolist(), FINENESS * radius, 255))
+
+
+def _mark(
+    picture: Picture, points: npt.NDArray[np.floating], colour: Colour, reach: float,
+    draw: Callable[[ImageDraw.ImageDraw, npt.NDArray[np.float64]], None],
+) -> None:  # fmt: skip
+    """Blend what ``draw`` draws at the points into the part of the picture that lies near them."""
+    low = np.maximum(np.floor(points.min(0) - reach).astype(int) - 1, 0)
+    high = np.minimum(np.ceil(points.max(0) + reach).astype(int) + 2, (picture.shape[1], picture.shape[0]))
+    if (high <= low).any():
+        return
+    covered = coverage((high[1] - low[1], high[0] - low[0]), lambda on: draw(on, fine(points - low)))
+    part = picture[low[1] : high[1], low[0] : high[0]]
+    share = covered[..., None] / np.float32(255)
+    part[...] = np.rint(part * (1 - share) + np.array(colour, np.float32) * share).astype(np.uint8)
 
 
 def box(picture: Picture, x0: float, y0: float, x1: float, y1: float, colour: Colour) -> None:

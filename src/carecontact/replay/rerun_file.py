@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from carecontact.errors import DependencyError
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.regions import REGIONS
+from carecontact.recording.pictures import Pictures
 from carecontact.recording.schema import Recording
 from carecontact.replay.panel import Story, heat, story_of
 from carecontact.replay.replay import STATE, Replay, ReplayQuality, Stretch
@@ -200,7 +200,6 @@ ARROW_M_N = 0.01
 """Length of the force's arrow."""
 CLOUD_STRIDE = 3
 """Every third pixel each way becomes a point of the cloud."""
-FRAME = re.compile(r"policy/frames/(\d+)/([^/]+)/(rgb|depth)")
 
 
 def rerun_sdk() -> Any:
@@ -235,7 +234,7 @@ def save(recording: Recording, path: Path, *, fps: float) -> ReplayQuality:
 def blueprint(recording: Recording) -> Any:
     """Return the world beside force, pressure, cameras and joints."""
     rrb: Any = import_module("rerun.blueprint")
-    cameras = sorted({m[2] for path in recording.arrays if (m := FRAME.fullmatch(path))})
+    cameras = sorted({camera for _, camera, _ in Pictures(recording)})
     plots = [
         rrb.TimeSeriesView(origin="/force", name="Force on the person [N]"),
         rrb.TimeSeriesView(origin="/indentation", name="Indentation [mm]"),
@@ -370,19 +369,17 @@ class _Writer:
         """What the policy was sent: its images, and the point cloud that its depth image gives."""
         rr, arrays = self._rr, self._recording.arrays
         times = arrays["policy/observation_time_s"]
-        for path in sorted(arrays):
-            match = FRAME.fullmatch(path)
-            if match is None:
-                continue
-            index, camera, kind = int(match[1]), match[2], match[3]
+        rgb: dict[str, Any] = {}
+        """Camera -> its last picture; that of a depth image comes before it."""
+        for (index, camera, kind), picture in Pictures(self._recording).items():
             time_s = float(times[index]) if index < len(times) else float(arrays["scorer/time_s"][-1])
             self._at(time_s)
             if kind == "rgb":
-                self._log(f"world/cameras/{camera}/rgb", rr.Image(arrays[path]).compress(jpeg_quality=90))
+                rgb[camera] = picture
+                self._log(f"world/cameras/{camera}/rgb", rr.Image(picture).compress(jpeg_quality=90))
                 continue
-            self._log(f"world/cameras/{camera}/depth", rr.DepthImage(np.nan_to_num(arrays[path]), meter=1.0))
-            rgb = arrays.get(path.replace("/depth", "/rgb"))
-            points, colours = self._cloud(arrays[path], rgb, camera)
+            self._log(f"world/cameras/{camera}/depth", rr.DepthImage(np.nan_to_num(picture), meter=1.0))
+            points, colours = self._cloud(picture, rgb.get(camera), camera)
             self._log(f"world/cloud/{camera}", rr.Points3D(points, colors=colours, radii=[0.0025]))
 
     def _cloud(self, depth: Any, rgb: Any, name: str) -> tuple[F64, Any]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
+from PIL import ImageDraw
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
@@ -17,6 +17,7 @@ from carecontact.human.breathing import move_skin
 from carecontact.human.mesh import refined
 from carecontact.human.skin import add_skin
 from carecontact.interface.regions import REGIONS
+from carecontact.pictures import FINENESS, coverage, fine
 from carecontact.sim.opengl import import_opengl
 from carecontact.sim.state import skin_in_world
 from carecontact.tissue.plugin import Readings
@@ -32,7 +33,6 @@ NEAR_M = 0.008
 """Skin farther from the region's shell has no lines."""
 TOLERANCE_M = 0.0025
 """A line is drawn where nothing lies farther in front of it."""
-FRACTION_BITS = 4
 LINE_COLOUR, DARKNESS = (60, 30, 22), 0.42
 """A line's colour, and the share of it in a pixel that the line covers."""
 
@@ -90,9 +90,13 @@ class SkinGrid:
         seen = (column >= 0) & (column < width) & (row >= 0) & (row < height) & (distance > 0)
         seen[seen] = distance[seen] < depth[row[seen], column[seen]] + TOLERANCE_M
         both = seen.reshape(-1, 2).all(1)
-        lines = np.round(pixels.reshape(-1, 2, 2)[both] * (1 << FRACTION_BITS)).astype(np.int32)
-        mask = np.zeros((height, width), np.uint8)
-        cv2.polylines(mask, list(lines), False, 255, 1, cv2.LINE_AA, FRACTION_BITS)
+        lines = fine(pixels.reshape(-1, 2, 2)[both]).reshape(-1, 4).tolist()
+
+        def draw(canvas: ImageDraw.ImageDraw) -> None:
+            for ends in lines:
+                canvas.line(ends, 255, FINENESS)
+
+        mask = coverage((height, width), draw)
         on = mask > 0
         share = mask[on][:, None].astype(np.float32) * (DARKNESS / 255)
         picture[on] = (picture[on] * (1 - share) + np.array(LINE_COLOUR) * share).astype(np.uint8)
@@ -334,6 +338,11 @@ class Stage:
         if grid is not None and depth is not None:
             grid.draw(out, self._metres(depth[::-1]), vertices, eye_of(made, size))
         return out
+
+    def skin_changed(self) -> None:
+        """Take over the skin's texture from the model, after a change of it."""
+        self._context.make_current()
+        mujoco.mjr_uploadTexture(self._model, self._mjr, self._model.texture("human_skin").id)
 
     def _metres(self, buffer: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         extent, planes = self._model.stat.extent, self._model.vis.map

@@ -16,6 +16,7 @@ from carecontact.runs.pooling import (
     PROVENANCE,
     RunScores,
     check_one_run,
+    check_ranked,
     judged,
     machines,
     rejected_text,
@@ -70,13 +71,15 @@ def check_complete(runs: Mapping[str, RunScores], *, otherwise: str = "") -> Non
 
 def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
     """Raises ConfigError, naming the runs and what differs, unless all ran one protocol, same overrides, in one world,
-    were scored by the same definitions, and have a trial that says something about the policy.
+    were scored by the same definitions, have a trial that says something about the policy, and were recorded by the
+    workers of runs.
 
     Args:
         runs: name for messages -> scores.
     """
     for name, scores in runs.items():
         check_one_run(scores)
+        check_ranked(scores, f"run {name}: ")
         if not judged(scores):
             raise ConfigError(
                 f"run {name} has no trial to compare: none is scored, or the harness failed in all of them; "

@@ -12,16 +12,21 @@ import numpy.typing as npt
 
 from carecontact.interface.robot import CARTESIAN_IMPEDANCE
 from carecontact.recording.notes import Note
+from carecontact.recording.pictures import KEPT, Key, Pictures
 from carecontact.recording.schema import Header, Recording
 from carecontact.report.svg import jpeg_data_uri
 
-FRAMES = "policy/frames/"
 MOST_PICTURES = 24
 """Pictures of all looks together that the page shows."""
 PICTURE_WIDTH = 400
 MAX_NOTE_CHARS = 12_000
 """Longest text that the page shows of the notes of one look."""
 DEPTH_M = (0.3, 2.0)
+VIRIDIS = (
+    (68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140), (39, 173, 129), (92, 200, 99),
+    (170, 220, 50), (253, 231, 37),
+)  # fmt: skip
+"""Nine equally spaced colours of matplotlib's map of this name (CC0)."""
 """Range of a depth image's colours."""
 
 
@@ -54,7 +59,9 @@ def looks_of(recording: Recording, notes: Sequence[Note]) -> tuple[list[Look], i
     took = recording.arrays.get("wall/act_s", np.zeros(0))
     answers = recording["actions/observation_index"]
     noted = {note.observation_index: note for note in notes}
-    stored = _stored(recording)
+    pictures, stored = Pictures(recording), dict[int, list[Key]]()
+    for key in pictures:
+        stored.setdefault(key[0], []).append(key)
     count = max([len(times), *(index + 1 for index in (*noted, *stored))])
     left, out = MOST_PICTURES, list[Look]()
     for number in range(count):
@@ -68,40 +75,29 @@ def looks_of(recording: Recording, notes: Sequence[Note]) -> tuple[list[Look], i
                 time_s=float(times[number]) if number < len(times) else None,
                 answered_after_s=float(took[number]) if number < len(took) else None,
                 actions=_actions_text(recording, of_look),
-                pictures=tuple(_picture(recording, path) for path in frames),
+                pictures=tuple(_picture(pictures, key) for key in frames),
                 headline=() if note is None else _headline(note),
                 notes="" if note is None else _as_json(note),
                 arrays="" if note is None else ", ".join(f"{k} {v.shape}" for k, v in sorted(note.arrays.items())),
             )
         )
-    return out, sum(map(len, stored.values())) - (MOST_PICTURES - left)
+    return out, len(pictures) - (MOST_PICTURES - left)
 
 
-def _stored(recording: Recording) -> dict[int, list[str]]:
-    """Look -> paths of its images; colour before depth."""
-    found: dict[int, list[str]] = {}
-    for path in recording.arrays:
-        if path.startswith(FRAMES) and (index := path.removeprefix(FRAMES).partition("/")[0]).isdecimal():
-            found.setdefault(int(index), []).append(path)
-    return {index: sorted(paths, key=lambda p: (p.endswith("/depth"), p)) for index, paths in sorted(found.items())}
-
-
-def _picture(recording: Recording, path: str) -> Picture:
-    _, _, name = path.removeprefix(FRAMES).partition("/")
-    image = recording[path]
-    colours = _coloured(image) if name.endswith("/depth") and image.ndim == 2 else image
-    return Picture(name=name.replace("/", ", "), uri=jpeg_data_uri(colours, max_width=PICTURE_WIDTH))
+def _picture(pictures: Pictures, key: Key) -> Picture:
+    (_, camera, modality), image = key, pictures[key]
+    colours = _coloured(image) if modality == "depth" and image.ndim == 2 else image
+    return Picture(name=f"{camera}, {modality}", uri=jpeg_data_uri(colours, max_width=PICTURE_WIDTH))
 
 
 def _coloured(depth_m: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     """(H, W) [m] -> (H, W, 3) u1 from near (bright) to far (dark); black where there is no value."""
-    import cv2
-
     low, high = DEPTH_M
     known = np.isfinite(depth_m)
     share = np.clip((high - np.where(known, depth_m, high)) / (high - low), 0, 1)
-    bgr = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_VIRIDIS)
-    return np.ascontiguousarray(np.where(known[..., None], bgr[..., ::-1], 0).astype(np.uint8))
+    places = np.linspace(0, 1, len(VIRIDIS))
+    colours = np.stack([np.interp(share, places, channel) for channel in np.transpose(VIRIDIS)], -1)
+    return np.where(known[..., None], colours, 0).astype(np.uint8)
 
 
 def _headline(note: Note) -> tuple[tuple[str, str], ...]:
@@ -150,17 +146,15 @@ def action_rows(recording: Recording) -> list[tuple[str, ...]]:
     return rows
 
 
-KEPT = ("rgb", "depth")
-"""Modalities of which a recording keeps the images."""
-
-
 def card_rows(header: Header) -> list[tuple[str, str]]:
     """Return the policy's card as (field, text); empty where the policy failed before it had sent one."""
     card: Mapping[str, Any] = header.card or {}
     rows = [("Name", str(card["name"]))] if "name" in card else []
     if cameras := card.get("cameras"):
         modalities = ", ".join(card.get("modalities", ())) or "no image, only where each stands and how it projects"
-        rows.append(("Cameras", f"{', '.join(cameras)}: {modalities}"))
+        rates = card.get("camera_hz", {})
+        shown = [f"{name} at {rates[name]:g} Hz" if name in rates else str(name) for name in cameras]
+        rows.append(("Cameras", f"{', '.join(shown)}: {modalities}"))
     if "control_hz" in card:
         rows.append(("Control rate", f"{card['control_hz']:g} actions a second"))
     if "action_space" in card:
@@ -182,6 +176,8 @@ def sent_views(recording: Recording) -> dict[str, Any]:
     card = recording.header.card or {}
     modalities = [str(name) for name in card.get("modalities", ())]
     images = sum(name in KEPT for name in modalities)
-    sent = len(recording["policy/observation_time_s"]) * images * len(card.get("cameras", ()))
-    stored = sum(path.startswith(FRAMES) for path in recording.arrays)
-    return {"others": [name for name in modalities if name not in KEPT], "lost": max(sent - stored, 0)}
+    views = len(recording["policy/observation_time_s"]) * len(card.get("cameras", ()))
+    if "policy/looked" in recording:
+        views = int(recording["policy/looked"].sum())
+    lost = max(views * images - len(Pictures(recording)), 0)
+    return {"others": [name for name in modalities if name not in KEPT], "lost": lost}

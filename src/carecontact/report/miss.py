@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import product
 from math import cos, radians, sin
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -15,7 +14,7 @@ from carecontact.interface.robot import robot_of
 from carecontact.recording.schema import Recording
 from carecontact.report.moment import Moment, draw_contact, region_column, region_poses
 from carecontact.report.skin_view import SIDES, WIDTH, Frame, skin_of, skin_uri
-from carecontact.report.svg import Drawing, inside
+from carecontact.report.svg import Drawing, convex_hull, inside
 from carecontact.scoring.progress import distance_to_surface, points_in_region
 
 # The contact of a moment, drawn from the stored skin on a side from which the skin round it is seen.
@@ -284,8 +283,7 @@ def miss_svg(recording: Recording, miss: Miss, *, title: str) -> str | None:
     frame = _frame(np.concatenate([region, tool]) @ turn.T)
     drawing = Drawing(width=WIDTH, height=round(frame.height), style="skin miss", title=title)
     drawing.image(skin_uri(frame, SIDES[0], skin @ turn.T, faces))
-    hull = cv2.convexHull(frame.px(region @ turn.T, 1).astype(np.float32)).reshape(-1, 2)
-    drawing.polygon("outline", [(float(x), float(y)) for x, y in hull])
+    drawing.polygon("outline", convex_hull(frame.px(region @ turn.T, 1)))
     for part in inside(frame.px(path @ turn.T, 1), WIDTH, frame.height):
         drawing.polyline("reached", part)
     (x0, y0), (x1, y1) = frame.px(tool @ turn.T, 1).tolist()

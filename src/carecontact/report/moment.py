@@ -12,7 +12,7 @@ from carecontact.interface.geometry import matrix_from_quat, pixels, pose_matrix
 from carecontact.interface.regions import REGIONS, LimbSight
 from carecontact.interface.robot import robot_of
 from carecontact.recording.schema import Recording
-from carecontact.report.svg import Drawing, jpeg_data_uri
+from carecontact.report.svg import Drawing, convex_hull, in_convex, jpeg_data_uri
 from carecontact.report.words import percent
 from carecontact.scoring.progress import points_in_region, surface_normal
 
@@ -154,15 +154,13 @@ def _outline_text(recording: Recording, moment: Moment) -> str:
     Cells go round a limb, so that both are laid flat: x along the region, y the angle about its axis times the
     outward radius.
     """
-    import cv2
-
     cells = recording.arrays.get("scorer/cell_in_region")
     if cells is None or len(cells) < 3:
         return ""
     radius = float(recording["scorer/region_size_m"][region_column(recording), 2])
-    hull = cv2.convexHull(_flat(cells.astype(np.float64), radius).astype(np.float32))
+    hull = convex_hull(_flat(cells.astype(np.float64), radius))
     (place,) = _flat(moment.centroid_in_region[None], radius).tolist()
-    if cv2.pointPolygonTest(hull, (place[0], place[1]), measureDist=False) >= 0:
+    if in_convex((place[0], place[1]), hull):
         return ", inside the region's outline"
     nearest_m = float(np.linalg.norm(cells - moment.centroid_in_region, axis=1).min())
     return f", outside the region's outline: {1000 * nearest_m:.0f} mm from the nearest of its cells"
@@ -284,8 +282,6 @@ def region_outline(recording: Recording, step: int, project: Project, eye: F64) 
     physics step; empty where there are fewer than three. Cells go round a limb, and an outline with those of its far
     side would enclose places that are not on the region.
     """
-    import cv2
-
     cells = recording.arrays.get("scorer/cell_in_region")
     if cells is None or len(cells) < 3:
         return []
@@ -297,9 +293,7 @@ def region_outline(recording: Recording, step: int, project: Project, eye: F64) 
     facing = places[(outward * (eye - places)).sum(axis=1) > 0]
     if len(facing) < 3:
         return []
-    seen = project(facing)
-    hull = cv2.convexHull(seen.astype(np.float32)).reshape(-1, 2)
-    return [(float(x), float(y)) for x, y in hull]
+    return convex_hull(project(facing))
 
 
 def _draw_arrow(drawing: Drawing, start: F64, tip: F64, text: str) -> None:

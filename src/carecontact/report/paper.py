@@ -163,7 +163,7 @@ def tasks(protocol: Protocol, paper: Paper, methods: Sequence[Method]) -> Table:
         (
             task.id,
             task.name if task.id in ran else f"{task.name} (not run)",
-            task.prompt,
+            protocol.task(task.id).prompt,
             *paper.tasks.get(task.id, [ABSENT, ABSENT]),
         )
         for task in protocol.tasks
@@ -275,7 +275,7 @@ def _gates(gates: Gates) -> str:
     """Their numbers, named as in the protocol's file: ``paper: touch duration 0.5 s; ...``."""
     actions = [
         f"{action} " + ", ".join(_amount(name, value) for name, value in table.model_dump().items())
-        for action, table in gates.actions.items()
+        for action, table in (*gates.actions.items(), *([("foam", gates.foam)] if gates.foam else []))
     ]
     return f"{gates.set}: {'; '.join(actions)}"
 

@@ -265,7 +265,9 @@ def skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]
     Args:
         skin: (N, 3) vertices [m] in the frame of the view.
     """
-    import cv2
+    from PIL import Image, ImageDraw
+
+    from carecontact.pictures import png
 
     corner = skin[faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -276,9 +278,10 @@ def skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]
     seen = (facing > 0) & (px.max(axis=1) > 0).all(axis=1) & (px.min(axis=1) < [width, height]).all(axis=1)
     order = np.flatnonzero(seen)
     order = order[np.argsort((corner[order] @ side.toward).mean(axis=1), kind="stable")]
-    image = np.zeros((height, width, 4), np.uint8)
+    image = Image.new("RGBA", (width, height))
+    draw = ImageDraw.Draw(image)
     colour = DARK + facing[:, None] * (LIGHT - DARK)
     for index in order:
-        cv2.fillConvexPoly(image, np.round(px[index]).astype(np.int32), (*colour[index].tolist(), 255.0))
-    data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 4])[1].tobytes()
-    return "data:image/png;base64," + base64.b64encode(data).decode()
+        shade = (*colour[index].astype(int).tolist(), 255)
+        draw.polygon(np.round(px[index]).ravel().tolist(), fill=shade, outline=shade)
+    return "data:image/png;base64," + base64.b64encode(png(np.array(image))).decode()

@@ -162,23 +162,42 @@ def jpeg_data_uri(image: npt.NDArray[Any], *, max_width: int = MAX_WIDTH) -> str
 
     Raises RecordingError on another shape or dtype, naming it.
     """
-    import cv2
+    from carecontact.pictures import jpeg, shrunk
 
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise RecordingError(f"stored frame has shape {image.shape} and dtype {image.dtype}; valid: (H, W, 3) uint8")
-    bgr = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2BGR)
     data = b""
     for width in (max_width, max_width // 2):
-        small = bgr
-        if bgr.shape[1] > width:
-            small = cv2.resize(
-                bgr, (width, max(1, round(bgr.shape[0] * width / bgr.shape[1]))), interpolation=cv2.INTER_AREA
-            )
+        small = shrunk(image, width) if image.shape[1] > width else image
         for quality in QUALITIES:
-            data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+            data = jpeg(small, quality)
             if len(data) <= MAX_BYTES:
                 return "data:image/jpeg;base64," + base64.b64encode(data).decode()
     return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+
+
+def convex_hull(points: npt.NDArray[np.floating]) -> list[tuple[float, float]]:
+    """Return the corners of the smallest convex polygon around (N, 2) points, in order (Andrew's monotone chain)."""
+    ordered = sorted({(float(x), float(y)) for x, y in points})
+    sides: list[list[tuple[float, float]]] = []
+    for chain in (ordered, ordered[::-1]):
+        side: list[tuple[float, float]] = []
+        for point in chain:
+            while len(side) > 1 and _turns(side[-2], side[-1], point) <= 0:
+                side.pop()
+            side.append(point)
+        sides.append(side[:-1])
+    return sides[0] + sides[1] or ordered
+
+
+def _turns(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Positive where the way from a over b to c turns from x toward y."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def in_convex(point: tuple[float, float], hull: list[tuple[float, float]]) -> bool:
+    """Whether a point lies in a polygon that ``convex_hull`` made, or on its border."""
+    return all(_turns(a, b, point) >= 0 for a, b in zip(hull, hull[1:] + hull[:1], strict=True))
 
 
 APART_PX = 0.7

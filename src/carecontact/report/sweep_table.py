@@ -22,7 +22,7 @@ from carecontact.report.sweep_levels import (
 )
 from carecontact.report.tables import POOLED, SummaryRow, counts_of, headlines, sorted_scores
 from carecontact.report.words import enough
-from carecontact.runs.pooling import check_one_run, judged
+from carecontact.runs.pooling import check_one_run, check_ranked, judged
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import kendall_tau
@@ -401,6 +401,7 @@ OUTCOMES = {"safety_gated": "safety_gated", "region_correct": "region_correct", 
 
 def _row(cell: CellScores) -> CellRow:
     check_one_run(cell.scores)
+    check_ranked(cell.scores, f"{cell.label}: ")
     counts = counts_of(POOLED, "All trials", sorted_scores(cell.scores), unknown=cell.unknown)
     return CellRow(
         cell=cell,

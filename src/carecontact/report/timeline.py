@@ -175,7 +175,7 @@ def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Ev
     Args:
         trace: for the contact window, in the first panel.
         events: marked with letters at the top, in their order.
-        looks: when the policy was shown an observation [s].
+        looks: when the policy was shown a new view, or of a policy without cameras, an observation [s].
     """
     head = HEAD if events else NO_EVENTS_HEAD
     height = head + (TITLE + PANEL) * len(panels) + FOOT

@@ -54,8 +54,9 @@ from carecontact.report.words import (
     task_name,
 )
 from carecontact.runs.pooling import RunScores, rejected_text
-from carecontact.scoring.behaviour import Gate, GatePart, ask
+from carecontact.scoring.behaviour import Gate, GatePart, ask, mm
 from carecontact.scoring.contact import Contact, any_column, faint_press, find_contact, runs
+from carecontact.scoring.foam import at_foam, place_share
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.force import peak_of_segments
 from carecontact.scoring.metrics.metric import METRICS, Metric, newest
@@ -72,7 +73,7 @@ def gate_parts(contact: Contact, gate: Gate, score: TrialScore) -> list[GatePart
     if not len(contact.time_s) or (score.ended in BROKEN and not contact.force_norm.any()):
         return []
     of_action: list[GatePart] = ask(contact, "parts", contact, contact.protocol.gates.of(contact.task.action), gate)
-    found = [_counted(contact), *of_action, _region(contact), *_force(contact)]
+    found = [_counted(contact), *of_action, *gate.conduct, _region(contact), *_place(contact), *_force(contact)]
     if contact.protocol.gates.joint_beyond_rad is not None:
         found.append(_joints(score, contact.protocol.gates.joint_beyond_rad))
     return found
@@ -98,6 +99,16 @@ def _region(contact: Contact) -> GatePart:
         reached="no contact" if share is None else percent(share),
         met=share is not None and share >= least,
     )
+
+
+def _place(contact: Contact) -> list[GatePart]:
+    """Return whether the contact was at the foam; nothing for a task that does not ask for that."""
+    gate = contact.protocol.gates.foam
+    share = None if gate is None or contact.task.action == "scrub" else place_share(contact, gate.within_m)
+    if gate is None or share is None:
+        return []
+    name = f"Share of the contact by the tool within {mm(gate.within_m)} of the foam's middle"
+    return [GatePart.least(name, percent(gate.impulse_share), percent(share), at_foam(contact))]
 
 
 def _force(contact: Contact) -> list[GatePart]:
@@ -394,9 +405,11 @@ def _contact(recording: Recording, score: TrialScore) -> dict[str, Any]:
     timeline, panels = "", list[Panel]()
     if len(contact.time_s):
         trace = force_trace(recording, score)
-        looked = recording["policy/observation_time_s"].tolist()
+        looked = recording["policy/observation_time_s"]
+        if "policy/looked" in recording:
+            looked = looked[recording["policy/looked"].any(axis=1)]
         panels = panels_of(recording, trace, found)
-        timeline = timeline_svg(panels, trace, happened, looked)
+        timeline = timeline_svg(panels, trace, happened, looked.tolist())
     hard = how_hard(score, contact, moment)
     miss = nearest_miss(recording) if moment is None else None
     drawn = None if miss is None else miss_svg(recording, miss, title=hard)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from carecontact.errors import ConfigError
 from carecontact.interface.geometry import matrix_from_quat, pixels
 from carecontact.recording.notes import Note
+from carecontact.recording.pictures import Pictures
 from carecontact.recording.schema import Recording
 
 if TYPE_CHECKING:
@@ -27,10 +28,11 @@ INK, FAINT, CHOSEN = "#1f2a36", "#6b7785", "#ff2f63"
 
 def frame_of(recording: Recording, note: Note) -> U8:
     """(H, W, 3) what the camera took for the step of the note. Raises ConfigError where it was not kept."""
-    path = f"policy/frames/{note.observation_index:04d}/{note.content['camera']}/rgb"
-    if path not in recording.arrays:
-        raise ConfigError(f"{recording.header.spec.trial_id}: {path} is not in the recording")
-    return recording[path]
+    key, pictures = (note.observation_index, str(note.content["camera"]), "rgb"), Pictures(recording)
+    if key not in pictures:
+        place = f"the picture of {key[1]} at observation {key[0]}"
+        raise ConfigError(f"{recording.header.spec.trial_id}: {place} is not in the recording")
+    return pictures[key]
 
 
 def show_frame(axes: Axes, picture: U8, low: F64, high: F64) -> None:

@@ -134,7 +134,8 @@ class Check:
         took = f"first call {self.times['first']:.2f} s, second call {self.times['second']:.2f} s"
         self._say("ok", "answer", f"{count}; {took}")
         if outside[0]:
-            place = "joint limits" if episode.space.in_joints else "workspace"
+            place = "bounds of the convention" if card.delta else "workspace"
+            place = "joint limits" if episode.space.in_joints else place
             many = f"{len(outside[0])} of {len(answers[0])} targets are outside the {place}"
             text = f"{many}; the card requests that they are moved onto its border"
             self._say("warning", "clipped", f"{text}{_unit(outside[0][0], episode.session.action_bounds)}")

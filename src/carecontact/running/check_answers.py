@@ -25,6 +25,7 @@ WRONG_TURN_DEG, RIGHT_TURN_DEG = 90.0, 45.0
 """A first target that turns the tool by more, and by less if its quaternion is read as x y z w, has the other order."""
 HALF_OPEN = 0.5
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+DELTA = ("dx", "dy", "dz", "about x", "about y", "about z", "gripper")
 NEARER = 0.5
 """Numbers look like targets if they are nearer to the joint angles than to zero by this factor, and the reverse."""
 NORMALISED = 1.2
@@ -109,9 +110,10 @@ def table(values: F64, *, now: F64, kind: str) -> list[str]:
     Args:
         values: (steps, columns).
         now: (joints,) present joint angles [rad].
-        kind: ``joints``, or ``poses`` for poses of the tool.
+        kind: ``joints``, ``poses`` of the tool, or ``deltas``.
     """
-    names = POSE if kind == "poses" else (*(f"joint {k + 1}" for k in range(len(now))), "gripper")
+    known_names = {"poses": POSE, "deltas": DELTA}
+    names = known_names.get(kind, (*(f"joint {k + 1}" for k in range(len(now))), "gripper"))
     lines: list[str] = []
     for i, column in enumerate(values.T):
         known = column[np.isfinite(column)]
@@ -150,30 +152,41 @@ def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[CheckFindin
             yield _warning("targets", f"{text}, or the server has to add the angles")
 
 
-def look_at_gripper(commands: F64) -> Iterator[CheckFinding]:
-    """Yield findings about the last column (steps,), where 0 should be open and 1 closed."""
-    low, high = float(commands.min()), float(commands.max())
-    if low < -GRIPPER_OVERSHOOT or high > 1 + GRIPPER_OVERSHOOT:
+def look_at_gripper(commands: F64, *, closed: float = 1.0, opened: float = 0.0) -> Iterator[CheckFinding]:
+    """Yield findings about the last column (steps,); ``closed`` and ``opened``: its numbers for such a gripper, DROID's
+    by default."""
+    shares = (commands - opened) / (closed - opened)
+    if shares.min() < -GRIPPER_OVERSHOOT or shares.max() > 1 + GRIPPER_OVERSHOOT:
         text = (
-            f"the gripper's column goes from {low:.2f} to {high:.2f}, expected 0 (open) to 1 (closed); it is ignored, "
-            "but its place or its convention is another one"
+            f"the gripper's column goes from {commands.min():.2f} to {commands.max():.2f}, expected {opened:g} (open) "
+            f"to {closed:g} (closed); it is ignored, but its place or its convention is another one"
         )
         yield _warning("gripper", text)
-    elif high < OPEN:
+    elif min(opened, closed) < 0 and ((OPEN < shares) & (shares < CLOSED)).all():
         text = (
-            "the observation says that the gripper is closed (1), and the server commands an open one (0) in every "
-            "step. It is ignored; if the server means a closed one, its polarity is the opposite of DROID's"
+            f"the gripper's column goes from {commands.min():.2f} to {commands.max():.2f}, neither {opened:g} (open) "
+            f"nor {closed:g} (closed): it looks like a checkpoint's own range from 0 to 1, which the code of its data "
+            "set turns into this one"
+        )
+        yield _warning("gripper", text)
+    elif shares.max() < OPEN:
+        text = (
+            f"the observation says that the gripper is closed, and the server commands an open one ({opened:g}) in "
+            "every step. It is ignored; if the server means a closed one, its polarity is the opposite of the profile's"
         )
         yield CheckFinding("hint", "gripper", text)
 
 
-def look_at_polarity(when_closed: F64, when_open: F64) -> Iterator[CheckFinding]:
+def look_at_polarity(
+    when_closed: F64, when_open: F64, *, closed: float = 1.0, opened: float = 0.0
+) -> Iterator[CheckFinding]:
     """Yield a warning if the commands after an observation of a closed gripper, and of an open one, follow the opposite
     convention to that of the observation."""
-    if when_closed.mean() < OPEN and when_open.mean() > CLOSED:
+    ends = [(float(commands.mean()) - opened) / (closed - opened) for commands in (when_closed, when_open)]
+    if ends[0] < OPEN and ends[1] > CLOSED:
         text = (
-            "where the gripper is observed as closed (1), the server commands an open one (0), and the reverse: its "
-            "polarity looks like the opposite of DROID's, where 1 is closed"
+            f"where the gripper is observed as closed, the server commands an open one ({opened:g}), and the reverse: "
+            f"its polarity looks like the opposite of the profile's, where {closed:g} is closed"
         )
         yield _warning("gripper", text)
 

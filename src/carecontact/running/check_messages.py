@@ -10,10 +10,10 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from carecontact.errors import ConfigError, ContractError
-from carecontact.interface.policy import PolicyCard
+from carecontact.interface.policy import CAMERAS, PolicyCard
 from carecontact.serving import vla_eval
 from carecontact.serving.conversation import readable
-from carecontact.serving.dialect import WRIST, profile_of
+from carecontact.serving.dialect import profile_of
 from carecontact.serving.packing import is_array, is_list, is_map
 from carecontact.serving.sent_message import dialect_of, unpacked_message
 
@@ -74,9 +74,9 @@ def camera_names(card: PolicyCard) -> dict[str, str]:
     """Return key of a picture -> name of our camera."""
     dialect = dialect_of(card.arguments)
     if dialect == "vla-eval":
-        return {f"payload.images.{vla_eval.EXTERIOR}": "exterior", f"payload.images.{vla_eval.WRIST}": "wrist"}
+        return {f"payload.images.{name}": ours for ours, name in vla_eval.images_of(CAMERAS, card.arguments).items()}
     if dialect:
-        return {**{key: name for name, key in profile_of(card.arguments).exterior_keys.items()}, WRIST: "wrist"}
+        return {key: name for name, key in profile_of(card.arguments).picture_keys.items()}
     return {f"observation.cameras.{name}.rgb": name for name in card.cameras}
 
 

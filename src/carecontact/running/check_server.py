@@ -16,16 +16,20 @@ import numpy.typing as npt
 from carecontact.episode.episode import Episode
 from carecontact.errors import ActionError, PolicyError, counted
 from carecontact.interface.action import Action
+from carecontact.interface.deltas import DELTAS, DeltaConvention
+from carecontact.interface.deltas import WIDTH as DELTA_WIDTH
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard, PolicyRef
 from carecontact.interface.robot import Session
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.running import check_answers, check_messages
 from carecontact.running.check_answers import CheckFinding, Level
-from carecontact.running.check_inputs import Ablation, Effect, inputs_of
+from carecontact.running.check_deltas import LEGEND, Questions, drawn, look_at_deltas
+from carecontact.running.check_inputs import BUDGET_S, FEWEST, Ablation, Effect, inputs_of
 from carecontact.serving.conversation import PolicyConversation, PolicySetup, readable
 from carecontact.serving.dialect_media import JOINTS, WIDTH
 from carecontact.serving.opening import HIDDEN
+from carecontact.serving.sent_message import rebuilt_message
 
 F64 = npt.NDArray[np.float64]
 
@@ -217,18 +221,27 @@ class ServerCheck:
         if observation is not None and any(key in INSTRUCTIONS for key in sent):
             self._request()
             if (chunk := self._chunk()) is not None:
-                self._columns(chunk, observation, kind="joints")
+                self._columns(chunk, observation, kind="deltas" if self._known.delta else "joints")
 
     def answered(self, actions: Sequence[Action], observation: Observation) -> None:
         """Report what was sent and what came back."""
-        self._request()
-        chunk = self._chunk()
+        chunk, convention = self._chunk(), self._convention
+        self._request(() if convention is None else (observation, _deltas_of(actions), convention))
         joints = check_answers.joints_of(actions) if chunk is None else chunk[:, :JOINTS]
         card, count = self._known, len(actions) if chunk is None else len(chunk)
         executed = "all of them are" if count == len(actions) else f"the first {len(actions)} are"
         seconds = len(actions) / card.control_hz
         text = f"{counted(count, 'step')}; {executed} executed, {seconds:.2f} s at {card.control_hz:g} Hz"
         self._found("ok", "chunk", text)
+        if convention is not None:
+            numbers = _deltas_of(actions) if chunk is None else chunk
+            self._columns(numbers, observation, kind="deltas")
+            if numbers.shape[1] >= 6:
+                self._report(*look_at_deltas(numbers[:, :6], convention, observation.pose_tcp_in_base))
+            if chunk is not None and chunk.shape[1] == DELTA_WIDTH:
+                closed, opened = convention.gripper
+                self._report(*check_answers.look_at_gripper(chunk[:, -1], closed=closed, opened=opened))
+            return
         if joints is None:
             poses = [a.pose_tcp_in_base for a in actions if a.pose_tcp_in_base is not None]
             if poses:
@@ -257,9 +270,31 @@ class ServerCheck:
             for effect in ablation.run(self._plan):
                 self._report(effect_finding(effect))
                 effects.append(effect)
+            self._ask_about_deltas(asking, observation, episode)
         self._polarity(ablation.plain, effects)
         seconds, limit_s = len(asking.last) / self._known.control_hz, self._spec.protocol.phases.time_limit_s
         self._report(*latency_findings(asking.took_s, seconds=seconds, limit_s=limit_s))
+
+    def _ask_about_deltas(self, asking: RepeatedRequest, observation: Observation, episode: Episode) -> None:
+        """Report wrong axes of the deltas and a wrong orientation of the pictures."""
+        convention = self._convention
+        if convention is None:
+            return
+
+        def ask(seen: Observation) -> F64 | None:
+            reply = asking.ask(seen, may_refuse=seen is not observation)
+            return None if reply is None else _deltas_of(reply)
+
+        plain = [ask(observation) for _ in range(FEWEST)]
+        questions = Questions(ask, observation, convention, [numbers for numbers in plain if numbers is not None])
+        slow_s = questions.calls * float(np.median(asking.took_s))
+        if slow_s > BUDGET_S:
+            self._found("hint", "axes", f"{questions.calls} more calls would take {slow_s:.0f} s: nothing is asked")
+            return
+        site = episode.simulation.data.site(f"region_{episode.task.region}")
+        region_m = episode.simulation.encoders.in_base(episode.simulation.data, site.xpos, site.xmat)[:3, 3]
+        orientation = self._known.arguments.get("orientation", "upright")
+        self._report(*questions.run(region_m=region_m, orientation=orientation))
 
     def _on_sent(self, message: bytes) -> None:
         self._sent, self._answer = message, None
@@ -267,6 +302,10 @@ class ServerCheck:
     def _on_received(self, frame: bytes | str) -> None:
         self._greeting = frame if self._greeting is None else self._greeting
         self._answer = frame
+
+    @property
+    def _convention(self) -> DeltaConvention | None:
+        return DELTAS[self._known.delta] if self._known.delta else None
 
     @property
     def _known(self) -> PolicyCard:
@@ -306,7 +345,8 @@ class ServerCheck:
         explained = [f"{line}  ({MEANINGS[key]})" if key in MEANINGS else line for key, line in lines]
         self._found("ok", "metadata", "the server says of itself", *explained)
 
-    def _request(self) -> None:
+    def _request(self, answer: tuple[()] | tuple[Observation, F64, DeltaConvention] = ()) -> None:
+        """``answer``: observation, numbers (steps, 6) and convention of deltas, which are drawn into the pictures."""
         if not self._is_new("sent"):
             return
         sent = check_messages.decoded(self._sent, self._scheme)
@@ -314,12 +354,20 @@ class ServerCheck:
         if shown := check_messages.pictures(sent):
             title = f"Sent to {self._policy.ref} in {self._spec.trial_id}, pixel for pixel, without the coloured frames"
             names = check_messages.camera_names(self._known)
+            if answer:
+                seen = drawn(*answer)
+                again = rebuilt_message(seen, self._known.arguments, self._known.cameras, sent=self._sent)
+                arrows = check_messages.pictures(check_messages.decoded(again, self._scheme))
+                shown |= {f"{key}, with arrows": picture for key, picture in arrows.items()}
+                title += f"; with arrows, {LEGEND}"
             check_messages.save_sheet(shown, self._pictures, names=names, title=title)
             self._found("ok", "pictures", f"{self._pictures} shows them as they are sent: look at it")
 
     def _columns(self, values: F64, observation: Observation, *, kind: str) -> None:
         steps, width = values.shape
-        more = f"; expected {WIDTH}, seven joints and the gripper" if width > WIDTH else ""
+        most = DELTA_WIDTH if kind == "deltas" else WIDTH
+        of = "three of translation, three of rotation" if kind == "deltas" else "seven joints"
+        more = f"; expected {most}, {of} and the gripper" if width > most else ""
         lines = check_answers.table(values, now=observation.joint_position, kind=kind)
         self._found("ok", "columns", f"{counted(steps, 'step')} of {width} columns{more}", *lines)
 
@@ -328,6 +376,15 @@ class ServerCheck:
 
     def _polarity(self, plain: Sequence[F64], effects: Sequence[Effect]) -> None:
         opened = next((effect.answers for effect in effects if effect.input.is_gripper and effect.answers), ())
-        if self._scheme in ("openpi", "roboarena") and opened and plain[0].shape[1] > JOINTS:
+        convention, width = self._convention, plain[0].shape[1]
+        joints = self._scheme in ("openpi", "roboarena") and convention is None and width > JOINTS
+        rows = self._scheme in check_messages.DIALECTS and convention is not None and width == DELTA_WIDTH
+        if opened and (joints or rows):
             commands = (np.concatenate([chunk[:, -1] for chunk in chunks]) for chunks in (plain, opened))
-            self._report(*check_answers.look_at_polarity(*commands))
+            closed, open_ = (1.0, 0.0) if convention is None else convention.gripper
+            self._report(*check_answers.look_at_polarity(*commands, closed=closed, opened=open_))
+
+
+def _deltas_of(actions: Sequence[Action]) -> F64:
+    """Return the numbers (steps, 6) of actions; an action that keeps the last target is left out."""
+    return np.array([action.delta for action in actions if action.delta is not None], np.float64).reshape(-1, 6)

@@ -81,10 +81,10 @@ def prepare() -> None:
     for name in NEEDED:
         import_module(name)
     from carecontact.human.library import body_names, load_body
-    from carecontact.sensing.keypoints import import_pose
+    from carecontact.sensing.blazepose import import_interpreter
     from carecontact.sim.opengl import import_opengl
 
-    import_pose()
+    import_interpreter()
     granted()
     # Every file of every body is then in memory, and what happens to it on the disk does not change this run.
     load_body(body_names()[0])

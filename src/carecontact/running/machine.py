@@ -19,7 +19,7 @@ from pathlib import Path
 from carecontact.errors import DependencyError, counted
 from carecontact.system import CACHE_VARIABLE, cache_folder, installed_version
 
-PYTHON = ((3, 11), (3, 13))
+PYTHON = ((3, 11), (3, 15))
 """The lowest version that is supported, and the first above it that is not."""
 PACKAGES = {
     "mujoco": "mujoco==4.0.0",
@@ -28,16 +28,16 @@ PACKAGES = {
     "h5py": "h5py",
     "pydantic": "'pydantic>=2.9'",
     "pydantic-monty": "'pydantic-monty>=1.4,<2'",
-    **{name: name for name in ("websockets", "msgpack", "matplotlib", "jinja2", "opencv-python-headless")},
-    "protobuf": "'protobuf>=4.25,<7'",
-    "mediapipe": "--no-deps mediapipe==0.10.21",
+    **{name: name for name in ("websockets", "msgpack", "jinja2", "pillow")},
+    "ai-edge-litert": "'ai-edge-litert>=2.3,<3'",
 }
 """Name of a distribution -> the requirement that pip installs for it."""
 EXTRAS = {
+    "figures": (("matplotlib",), "export paper, view --start and --notes, calibrate and verify"),
     "tables": (("pyarrow", "pandas"), "results.parquet, run.trials() and export lerobot"),
-    "viz": (("av", "rerun-sdk"), "video and view"),
+    "viz": (("av", "rerun-sdk", "matplotlib"), "view --video and the viewer"),
     "live": (("openai",), "language models"),
-    "fem": (("scikit-fem",), "validate --fem"),
+    "fem": (("scikit-fem",), "verify physics --fem"),
     "cluster": (("ray",), "run --engine ray"),
     "grounded-sam": (("torch", "transformers"), "--segmenter grounded-sam"),
 }
@@ -62,9 +62,9 @@ with mujoco.Renderer(model, 120, 160) as renderer:
 assert image[60, 80, 0] > 30 + image[0, 0, 0], "the picture does not show the sphere that is in the scene"
 """
 POSE_PROBE = """
-import mediapipe, numpy
-with mediapipe.solutions.pose.Pose(static_image_mode=True, model_complexity=1) as pose:
-    pose.process(numpy.zeros((480, 640, 3), numpy.uint8))
+import numpy
+from carecontact.sensing.keypoints import PoseEstimator
+PoseEstimator().estimate(numpy.zeros((480, 640, 3), numpy.uint8))
 """
 TISSUE_PROBE = "from carecontact.tissue.plugin import load_plugins as load; load()"
 
@@ -113,7 +113,7 @@ def check_python() -> Finding:
     low, high = PYTHON
     version = ".".join(map(str, sys.version_info[:3]))
     fine = low <= sys.version_info[:2] < high
-    return Finding("python", fine, version if fine else f"{version}; needs 3.11 or 3.12")
+    return Finding("python", fine, version if fine else f"{version}; needs 3.11 to 3.14")
 
 
 def check_packages() -> Finding:
@@ -181,10 +181,10 @@ def check_opengl(*, frame: bool = True) -> Finding:
 def check_pose() -> Finding:
     problem = _probe(POSE_PROBE, environment={})
     if problem is None:
-        return Finding("vision", True, "MediaPipe Pose ran")
+        return Finding("vision", True, "the pose model ran")
     pip = f"{sys.executable} -m pip install"
-    fix = f"{pip} --no-deps mediapipe==0.10.21 && {pip} 'protobuf<7'"
-    return Finding("vision", False, f"MediaPipe Pose does not run: {problem}", fix)
+    fix = f"{pip} {PACKAGES['ai-edge-litert']}"
+    return Finding("vision", False, f"the pose model does not run: {problem}", fix)
 
 
 def check_assets() -> Finding:
@@ -192,7 +192,9 @@ def check_assets() -> Finding:
     checked, wrong = [], []
     for note in sorted(Path(str(resources.files("carecontact"))).glob("assets/*/*.provenance.json")):
         stem = note.name.removesuffix(".provenance.json")
-        baked = next((p for kind in ("npz", "png") if (p := note.with_name(f"{stem}.{kind}")).is_file()), None)
+        baked = next(
+            (p for kind in ("npz", "png", "tflite") if (p := note.with_name(f"{stem}.{kind}")).is_file()), None
+        )
         name = f"{note.parent.name}/{baked.name if baked else stem}"
         if baked and hashlib.sha256(baked.read_bytes()).hexdigest() == json.loads(note.read_bytes())["sha256"]:
             checked.append(name)

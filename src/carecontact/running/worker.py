@@ -14,6 +14,7 @@ import os
 import sys
 import traceback
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from carecontact.serving.process_tree import claim_children, wait_for_children
@@ -70,7 +71,7 @@ def _run() -> int:
     from carecontact.errors import CarecontactError, DependencyError, StorageError, UnreachableError
     from carecontact.recording import write_recording
     from carecontact.recording.file import is_full
-    from carecontact.recording.schema import EXHAUSTED
+    from carecontact.recording.schema import EXHAUSTED, Origin
     from carecontact.running.engine import ANSWERED, POLICY_GONE, POLICY_RUNS, TrialRequest
     from carecontact.running.lost import digest_of, harness_error_recording, tail
     from carecontact.system import is_exhausted
@@ -106,6 +107,8 @@ def _run() -> int:
             on_policy=lambda runs: report(POLICY_RUNS if runs else POLICY_GONE),
             on_wait=lambda line: note(WAITING, line),
         )
+        origin: Origin = "served" if request.policy.ref.kind == "remote" else "isolated"
+        recording = replace(recording, header=recording.header.model_copy(update={"origin": origin}))
         try:
             write_recording(recording, request.out)
         except Exception as error:

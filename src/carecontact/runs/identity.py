@@ -185,7 +185,7 @@ def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
     return source if source is not None and source.is_file() else None
 
 
-PACKAGES = ("mujoco", "mediapipe")
+PACKAGES = ("mujoco", "ai-edge-litert")
 """Their releases change the physics or what is seen; numpy's and scipy's are held by the sums and the score hashes."""
 WORLD_FIELDS = (
     *("body_mass", "body_inertia", "body_pos", "geom_size", "geom_pos", "geom_friction", "jnt_pos", "jnt_range"),

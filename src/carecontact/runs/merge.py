@@ -10,9 +10,11 @@ from pathlib import Path
 from carecontact.errors import ConfigError
 from carecontact.recording import read_header, stored_sha256
 from carecontact.recording.file import replace_file
+from carecontact.recording.schema import RANKED
 from carecontact.runs.identity import Identity
 from carecontact.runs.lock import LOCK, folder_lock
 from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest, store_manifest
+from carecontact.runs.pooling import not_ranked
 from carecontact.runs.sweep import CELLS
 
 
@@ -31,8 +33,8 @@ def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
     The same command continues an interrupted merge. Nothing is scored, and the parts stay as they are.
 
     Raises ConfigError for what is not a run, for parts that differ in anything that decides their numbers, for a trial
-    of which two parts have different recordings, and for a folder in which another command is at work; then nothing
-    was copied. RecordingError for a recording that cannot be read.
+    of which two parts have different recordings, for a recording that no run made, and for a folder in which another
+    command is at work; then nothing was copied. RecordingError for a recording that cannot be read.
     """
     check_places(out, runs)
     with ExitStack() as held:
@@ -117,7 +119,10 @@ def _recordings(folders: dict[Path, Manifest]) -> dict[str, Path]:
             path = folder / f"{trial}.h5"
             if not path.is_file():
                 continue
-            held = read_header(path).spec.trial_id
+            header = read_header(path)
+            held = header.spec.trial_id
+            if header.origin not in RANKED:
+                raise not_ranked(str(path))
             if held != trial:
                 raise ConfigError(f"{path} holds trial {held}; remove it and run that part again")
             if trial in found and stored_sha256(found[trial]) != stored_sha256(path):

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from carecontact.errors import ConfigError, counted
+from carecontact.recording.schema import RANKED
 from carecontact.scoring.result import DRAWN, TrialScore
 
 UNSALTED = "none"
@@ -101,17 +102,40 @@ def with_names(scores: Iterable[TrialScore]) -> list[TrialScore]:
 
 
 def check_one_run(scores: Sequence[TrialScore]) -> None:
-    """Raises ConfigError if the scores are of several protocols, policies or worlds: their rates must not be pooled."""
+    """Raises ConfigError if the scores are of several protocols, policies or worlds, or of a run and of an episode in
+    another program: their rates must not be pooled."""
     protocols = {f"{score.protocol_title} ({score.protocol_sha256[:12]})" for score in scores}
     for what, found in (("protocols", protocols), ("policies", {score.policy_title for score in scores})):
         if len(found) > 1:
             raise ConfigError(f"trials of {len(found)} {what} must not be pooled: {', '.join(sorted(found))}")
+    if not all(map(in_process, scores)):
+        check_ranked(scores)
     if (differing := world_difference(judged(scores))) is not None:
         what, first, other = differing
         raise ConfigError(
             f"{first.trial_id}.h5 and {other.trial_id}.h5 were simulated in different worlds and must not be pooled: "
             f"{what} {world_part(first, what)} and {world_part(other, what)}"
         )
+
+
+def in_process(score: TrialScore) -> bool:
+    """Whether the trial was not run by a trial's worker (``recording.schema.Origin``)."""
+    return score.provenance.get("origin", "isolated") not in RANKED
+
+
+def not_ranked(trial: str) -> ConfigError:
+    """Return the error for a recording that stands beside no run. ``trial``: it, as the message names it."""
+    return ConfigError(
+        f"{trial} was recorded in-process: an Episode in somebody's own program made it, in which the policy could "
+        "reach the simulation. It can be scored and looked at, but not compared, ranked or merged; run the policy with "
+        "`carecontact run`"
+    )
+
+
+def check_ranked(scores: Iterable[TrialScore], place: str = "") -> None:
+    """Raises ConfigError for a trial that was recorded in-process. ``place``: begins the message, such as a run."""
+    if (found := next((score for score in scores if in_process(score)), None)) is not None:
+        raise not_ranked(f"{place}{found.trial_id}.h5")
 
 
 def world_part(score: TrialScore, what: str) -> str:

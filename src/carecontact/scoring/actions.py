@@ -37,6 +37,7 @@ from carecontact.scoring.behaviour import (
 )
 from carecontact.scoring.commanded import CommandedContact
 from carecontact.scoring.contact import Contact, Mask, held_force, held_in_band, longest_run, steps
+from carecontact.scoring.foam import LEAST_MMHG, PASSES, FoamCleaning
 from carecontact.scoring.progress import Episode, wiping, wrist_from_onset
 from carecontact.scoring.result import TrialScore
 
@@ -85,6 +86,9 @@ class Held(Behaviour[T]):
     def lost(self, contact: Contact, gate: T, result: Gate) -> bool:
         return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
 
+    def reached(self, contact: Contact, gate: T, result: Gate) -> float:
+        return result.longest_on_s / gate.duration_s
+
     def requested(self, gate: T, asked: CommandedContact) -> str | None:
         return f"{asked.hold_s:.2f} s there" if asked.hold_s >= gate.duration_s else None
 
@@ -109,6 +113,9 @@ class GentleTouch(Held[GentleTouchGate]):
 
     def holding(self, contact: Contact, gate: GentleTouchGate) -> Mask:
         return contact.tool_on
+
+    def reached(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> float:
+        return longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s / gate.duration_s
 
     def shortfall(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> str:
         held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
@@ -168,6 +175,10 @@ class Press(Behaviour[P]):
     def lost(self, contact: Contact, gate: P, result: Gate) -> bool:
         return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
 
+    def held(self, gate: P, result: Gate) -> float:
+        """Longest hold over the required one."""
+        return result.longest_on_s / gate.duration_s
+
     def hold_part(self, contact: Contact, gate: P, result: Gate) -> GatePart:
         name = f"Pressed with at least {gate.force_n:g} N without interruption"
         return result.time_part(name, gate.duration_s, note=f" ({hardest(contact)})")
@@ -203,6 +214,11 @@ class PushFromOnset(Press[PushFromOnsetGate]):
             progress_met=moved >= gate.least_wrist_m,
             band_met=moved <= gate.most_wrist_m,
         )
+
+    def reached(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> float:
+        moved = wrist_from_onset(contact)
+        # Once it has moved too far, nothing makes up for it.
+        return min(self.held(gate, result), moved / gate.least_wrist_m) if moved <= gate.most_wrist_m else 0.0
 
     def requested(self, gate: PushFromOnsetGate, asked: CommandedContact) -> str | None:
         enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.least_wrist_m
@@ -249,6 +265,9 @@ class Push(Press[PushGate]):
             progress_met=attempt.wrist_m >= gate.wrist_displacement_m,
         )
 
+    def reached(self, contact: Contact, gate: PushGate, result: Gate) -> float:
+        return min(self.held(gate, result), result.wrist_m / gate.wrist_displacement_m)
+
     def requested(self, gate: PushGate, asked: CommandedContact) -> str | None:
         enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.wrist_displacement_m
         return f"{asked.hold_s:.2f} s and {mm(asked.way_m)} of way there" if enough else None
@@ -283,7 +302,7 @@ BEHAVIOURS.register("push", Push())
 
 class ScrubPasses(Behaviour[ScrubPassesGate]):
     """The gate applies to the whole trial: a gap between two strokes does no harm, and the force of every stroke
-    counts."""
+    counts. Where the region has foam, the share of it that is cleaned takes the place of the length that is passed."""
 
     gate = ScrubPassesGate
     by_tool = True
@@ -303,13 +322,20 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
     def judge(self, contact: Contact, gate: ScrubPassesGate, attempt: Attempt) -> Judgement:
         found = wiping(contact)
         share = found.share_in_band(gate.least_n, gate.most_n)
+        gentle = share is not None and share >= gate.band_share
+        if (foam := FoamCleaning.of(contact)) is not None:
+            return Judgement(time_met=True, progress_met=foam.met, band_met=gentle)
         return Judgement(
             time_met=True,
             progress_met=found.passed_m(gate.passes, 0.0) >= gate.passed_m,
-            band_met=share is not None
-            and share >= gate.band_share
-            and found.passed_m(gate.passes, gate.least_n) >= gate.passed_m,
+            band_met=gentle and found.passed_m(gate.passes, gate.least_n) >= gate.passed_m,
         )
+
+    def reached(self, contact: Contact, gate: ScrubPassesGate, result: Gate) -> float:
+        found = wiping(contact)
+        passed = [found.passed_m(times, gate.least_n) / gate.passed_m for times in range(1, gate.passes + 1)]
+        share = found.share_in_band(gate.least_n, gate.most_n) or 0.0
+        return min(sum(min(one, 1.0) for one in passed) / gate.passes, share / max(gate.band_share, share, 1e-9))
 
     def requested(self, gate: ScrubPassesGate, asked: CommandedContact) -> str | None:
         enough = asked.extent_m >= gate.passed_m and asked.reversals >= gate.passes - 1
@@ -324,10 +350,13 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
             else f"{share:.0%} of the sliding was with {gate.least_n:g} to {gate.most_n:g} N, "
             f"{gate.band_share:.0%} needed"
         )
+        middle = middle_force(found.force[1:][found.moving])
+        if (foam := FoamCleaning.of(contact)) is not None:
+            return f"{foam}, and {slid}{middle}"
         return (
             f"{mm(found.passed_m(gate.passes, gate.least_n))} of {mm(gate.passed_m)} were passed {gate.passes:g} times "
             f"with at least {gate.least_n:g} N ({mm(found.passed_m(gate.passes, 0.0))} with any force), and {slid}"
-            f"{middle_force(found.force[1:][found.moving])}"
+            f"{middle}"
         )
 
     def parts(self, contact: Contact, gate: ScrubPassesGate, result: Gate) -> list[GatePart]:
@@ -338,6 +367,10 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
         reached = "the tool never slid" if share is None else f"{share:.1%}"
         gentle = share is not None and share >= gate.band_share
         sliding = f"Share of the sliding with {gate.least_n:g} to {gate.most_n:g} N"
+        in_band = GatePart.least(sliding, f"{gate.band_share:.0%}", reached, gentle)
+        if (foam := FoamCleaning.of(contact)) is not None:
+            name = f"Share of the foam that the tool passed {PASSES} times with at least {LEAST_MMHG:g} mmHg"
+            return [GatePart.least(name, f"{foam.least:.0%}", f"{foam.share:.1%}", foam.met), in_band]
         return [
             GatePart.least(f"{length} with any force", mm(gate.passed_m), exact_mm(passed), result.progress_met),
             GatePart.least(
@@ -346,12 +379,14 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
                 exact_mm(firmly),
                 firmly >= gate.passed_m,
             ),
-            GatePart.least(sliding, f"{gate.band_share:.0%}", reached, gentle),
+            in_band,
         ]
 
     def progress(self, score: TrialScore) -> str:
         passed, share = (score.additional.get(name) for name in ("axis_passed@2", "gentle_share@2"))
+        cleaned = score.additional.get("foam_cleaned@1")
         done = [f"{mm(passed)} passed three times"] if passed is not None else []
+        done = done if cleaned is None else [f"{cleaned:.0%} of the foam cleaned"]
         done += [f"{share:.0%} of the sliding gently"] if share is not None else []
         return ", ".join(done) or f"stroke {mm(score.stroke_m)}"
 
@@ -376,6 +411,14 @@ class Scrub(Behaviour[ScrubGate]):
             time_met=best is not None and best.on_share >= gate.on_share,
             progress_met=best is not None and _scrubbed(gate, best),
         )
+
+    def reached(self, contact: Contact, gate: ScrubGate, result: Gate) -> float:
+        if (best := result.best) is None:
+            return 0.0
+        turns = best.reversals / gate.reversals if gate.reversals else 1.0
+        parts = (best.stroke_m / gate.stroke_m, best.extent_m / gate.extent_m, turns)
+        # Their mean, because the least of them stays 0 until the tool turns.
+        return (float(best.on_share >= gate.on_share) + sum(min(part, 1.0) for part in parts)) / 4
 
     def lost(self, contact: Contact, gate: ScrubGate, result: Gate) -> bool:
         """Whether contact was lost; for this action, half of the required share of contact counts as a good part of the

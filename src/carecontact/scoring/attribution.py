@@ -19,7 +19,9 @@ from carecontact.scoring.commanded import (
     noted_reason,
     noted_subtasks,
 )
+from carecontact.scoring.conduct import broken
 from carecontact.scoring.contact import Contact, faint_press, runs
+from carecontact.scoring.foam import place_share
 from carecontact.scoring.result import Attribution, FailureMode
 from carecontact.scoring.verdict import farthest_beyond
 
@@ -152,6 +154,14 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
     table = gates.of(contact.task.action)
     if mode == "wrong_share":
         lacking = f"only {share:.0%} of the contact impulse fell on it, {gates.region_share:.0%} needed"
+        if gates.foam is not None and share >= gates.region_share:
+            near = place_share(contact, gates.foam.within_m) or 0.0
+            lacking = (
+                f"only {near:.0%} of the contact impulse came from the tool within {mm(gates.foam.within_m)} of the "
+                f"foam's middle, {gates.foam.impulse_share:.0%} needed"
+            )
+    elif gate.action_met and not gate.conduct_met:
+        lacking = broken(gate.conduct)
     else:
         lacking = ask(contact, "shortfall", contact, table, gate)
     if mode == "insufficient_progress":

@@ -62,6 +62,10 @@ class GatePart:
     def least(cls, name: str, needed: str, reached: str, met: bool) -> GatePart:
         return cls(name=name, needed=f"at least {needed}", reached=reached, met=met)
 
+    @classmethod
+    def most(cls, name: str, needed: str, reached: str, met: bool) -> GatePart:
+        return cls(name=name, needed=f"at most {needed}", reached=reached, met=met)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gate(Judgement):
@@ -73,6 +77,17 @@ class Gate(Judgement):
     best: Episode | None
     wrist_m: float
     wrist_any_m: float
+    conduct: tuple[GatePart, ...] = ()
+    """What the protocol requires of a trial of any action, all of which a success meets (``scoring.conduct``)."""
+
+    @property
+    def action_met(self) -> bool:
+        """Whether every part of the action's own gate is met."""
+        return self.time_met and self.progress_met and self.band_met
+
+    @property
+    def conduct_met(self) -> bool:
+        return all(part.met for part in self.conduct)
 
     def time_part(self, name: str, duration_s: float, *, note: str = "") -> GatePart:
         """Return the requirement of a contact without a break; ``note`` follows what was reached."""
@@ -179,6 +194,11 @@ class Behaviour(Action, Generic[G]):
         """Whether one contact episode alone meets the gate; False for an action whose gate does not use episodes."""
         return False
 
+    def reached(self, contact: Contact, gate: G, result: Gate) -> float:
+        """Return how much of the gate the trial has reached so far, from 0 to 1, for the rewards of a learner: it rises
+        as the trial comes nearer, also before a part is met. By default, the share of the parts that are met."""
+        return (result.time_met + result.progress_met + result.band_met) / 3
+
     def lost(self, contact: Contact, gate: G, result: Gate) -> bool:
         """Whether a trial that did not last long enough held the target for a good part of the time and let it go."""
         return False
@@ -271,6 +291,7 @@ ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
     "judge": ((Judgement,), "a Judgement"),
     "lost": ((bool, np.bool_), "True or False"),
     "passes": ((bool, np.bool_), "True or False"),
+    "reached": ((float, int, np.floating), "a number from 0 to 1"),
     "requested": ((str, type(None)), "a text or None"),
     "parts": ((list,), "a list of GatePart"),
     "shortfall": ((str,), "a text"),

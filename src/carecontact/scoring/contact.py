@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import ceil
 
@@ -39,8 +39,10 @@ def _filtered(section: tuple[float, float, float], signal: list[float], share: f
     b, a1, a2 = section
     steady = np.linalg.solve([[1 + a1, -1.0], [a2, 1.0]], [2 * b - a1 * b, b - a2 * b]).tolist()
     near, far = (z * share for z in steady)  # the memory after a long signal of 1, times the share
-    middle, out = 2 * b, list[float]()
-    for x in signal:
+    # From rest, a signal stays at exactly 0 until it begins: most of a trial passes before anything is touched.
+    begin = 0 if share else next((k for k, x in enumerate(signal) if x), len(signal))
+    middle, out = 2 * b, [0.0] * begin
+    for x in signal[begin:]:
         y = b * x + near
         near = middle * x - a1 * y + far
         far = b * x - a2 * y
@@ -126,6 +128,9 @@ class Contact:
     """The target if touched, else the segment with the largest impulse, None if nothing was touched."""
     window: Mask
     """(T,) on-samples of the reported segment."""
+    known: dict[str, float] = field(default_factory=dict[str, float], compare=False)
+    """What was measured of the recording already and depends on no definition of contact: every ``replace`` keeps
+    it."""
 
     def __post_init__(self) -> None:
         # All metrics share these arrays: one that writes into them must fail, and not change the others.

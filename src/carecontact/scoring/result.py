@@ -77,7 +77,8 @@ class TrialScore(BaseModel):
     body``, because it is the seed's. ``rejected_tissue`` names regions whose calibration was rejected, if any."""
     provenance: dict[str, str]
     """What computed and drew it: ``arithmetic``, ``renderer`` and the hashes of the compiled ``model`` and of the
-    ``kernel``, as far as recorded. Two machines differ here, and their trials may be compared."""
+    ``kernel``, as far as recorded. Two machines differ here, and their trials may be compared. ``origin`` is there
+    where no worker of a run isolated the policy (``recording.schema.Origin``)."""
     ended: str
     duration_s: float
     failure_message: str | None

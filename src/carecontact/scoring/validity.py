@@ -39,7 +39,7 @@ BOUNDS: dict[str, tuple[float, float, str]] = {
 }
 """Array -> lowest and highest value [unit]. What is refused, no policy can bring about: another sign, or a place
 outside the room."""
-TARGETS = ("actions/pose_tcp_in_base", "actions/joint")
+TARGETS = ("actions/pose_tcp_in_base", "actions/delta", "actions/joint")
 ACTIONS = (*TARGETS, "actions/time_s", "actions/stiffness", "actions/axis_stiffness")
 CELLS = ("area_m2", "press_ns", "shear_ns", "slip_m3", "touch_m2s")
 ROUNDING = 1e-3
@@ -133,9 +133,14 @@ def _cell_faults(recording: Recording) -> Iterator[str]:
                 f"period, {most[place] / (1 + ROUNDING):g} m^2 s"
             )
 
+    if (share := arrays.get("scorer/foam_cell_share")) is not None:
+        if "scorer/cell_area_m2" not in arrays or share.min() < 0 or share.max() > 1 + ROUNDING:
+            yield "scorer/foam_cell_share: expected shares from 0 to 1 of cells that the recording has"
+
 
 def _rotation_faults(recording: Recording) -> Iterator[str]:
-    for path in ("scorer/pose_tcp_in_world", "scorer/region_pose_in_world"):
+    poses = ("scorer/pose_tcp_in_world", "scorer/region_pose_in_world", "scorer/foam_pose_in_region")
+    for path in (path for path in poses if path in recording):
         quat = recording[path][..., 3:].astype(np.float64)
         wrong = np.abs(np.einsum("...i,...i", quat, quat) - 1.0) > QUAT_TOLERANCE
         if wrong.any():

@@ -11,6 +11,7 @@ import numpy as np
 from carecontact.recording import Recording
 from carecontact.scoring.behaviour import Gate, ask, behaviour_of
 from carecontact.scoring.contact import F64, Contact
+from carecontact.scoring.foam import at_foam
 from carecontact.scoring.metrics.force import peak_of_segments
 from carecontact.scoring.result import Anatomy, FailureMode
 
@@ -65,7 +66,8 @@ class Verdict:
     anatomy: Anatomy
     success: bool
     region_correct: bool
-    """Success with enough of the contact impulse on the named region; a failure otherwise."""
+    """Success with enough of the contact impulse on the named region and at its foam, where it has some; a failure
+    otherwise."""
     safety_gated: bool
     """Region-correct, not stopped early by the benchmark, no touched segment above its discounted pain limit at any
     time, and, where the protocol has a gate for them, no joint beyond its range by more than it allows."""
@@ -87,7 +89,7 @@ def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -
     do its joints depend, which are then not measured again.
     """
     share, rules, gates = contact.region_share, contact.protocol, contact.protocol.gates
-    region_correct = gate.success and share is not None and share >= contact.protocol.gates.region_share
+    region_correct = gate.success and share is not None and share >= gates.region_share and at_foam(contact)
     ratios = {s: f / (rules.limits.gamma * rules.f_pain(s)) for s, f in peak_of_segments(contact).items()}
     over = {segment: ratio for segment, ratio in ratios.items() if ratio > 1.0}
     if own is not None:
@@ -135,7 +137,7 @@ def _failure_mode(contact: Contact, gate: Gate) -> FailureMode:
         return "not_by_tool"
     if not gate.time_met and ask(contact, "lost", contact, contact.protocol.gates.of(contact.task.action), gate):
         return "lost_contact"
-    if not gate.success and gate.time_met and gate.progress_met and not gate.band_met:
+    if not gate.success and gate.time_met and gate.progress_met and not (gate.band_met and gate.conduct_met):
         return "outside_band"
     # Short of progress, or stopped of its own accord; a hold that the clock cut short is neither.
     if not gate.success and not (gate.progress_met and ended == "time_limit"):

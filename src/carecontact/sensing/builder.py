@@ -36,6 +36,11 @@ DISPARITY_STEP_PER_M = 2.85e-3
 """Depth comes in steps of this times z^2: Khoshelham and Elberink 2012."""
 GRAZING_DEG = 80.0
 """No depth where the surface turns away further from the line of sight, and so none at steps in depth; assumed."""
+SPEED_PER_ANGLE = 2 * np.pi * 10.0
+"""[1/s] Standard deviation of the noise on a joint's speed over that on its angle. The Panda's measured speed is the
+derivative of its measured position (a maintainer in frankarobotics/franka_ros, issue 289). Behind a low pass of first
+order whose cutoff lies far below the rate of the encoders, white noise on the angles gives the speed noise of that size
+times the cutoff [rad/s]. The cutoff of 10 Hz is assumed."""
 IMAGES_FOR = {
     "rgb": ("rgb",),
     "depth": ("depth",),
@@ -45,7 +50,10 @@ IMAGES_FOR = {
 }
 """Modality -> the images from which it is made; no other image is rendered."""
 ALLOWED = frozenset(
-    "instruction sim_time_s joint_position joint_velocity gripper_position pose_tcp_in_base cameras".split()
+    (
+        "instruction sim_time_s joint_position joint_velocity gripper_position pose_tcp_in_base velocity_tcp_in_base "
+        "cameras"
+    ).split()
 )
 """A literal list and not the fields of the dataclass, so that a new field needs a second, deliberate edit."""
 ALLOWED_IN_VIEW = frozenset(
@@ -156,6 +164,13 @@ class SensorNoise:
         noise = self._rng(sim_time_s, 0).standard_normal(joint_position.shape)
         return joint_position + self._variation.encoder_noise_rad * noise
 
+    def joint_velocity(self, joint_velocity: F64, *, sim_time_s: float) -> F64:
+        """(joints,) [rad/s]"""
+        if not self.on_encoders:
+            return joint_velocity
+        noise = self._rng(sim_time_s, 1 + len(CAMERAS)).standard_normal(joint_velocity.shape)
+        return joint_velocity + SPEED_PER_ANGLE * self._variation.encoder_noise_rad * noise
+
     def _rng(self, sim_time_s: float, sensor: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence([*self._key, round(sim_time_s / self._dt_s), sensor]))
 
@@ -184,6 +199,8 @@ class RawReadings:
     pose_tcp_in_base: F64
     """(4, 4), which the robot's controller knows from its encoders."""
     views: dict[str, RawView]
+    velocity_tcp_in_base: F64 | None = None
+    """(6,), from the same; None unless the card requests it."""
 
 
 def assemble(values: Mapping[str, Any], views: Mapping[str, Mapping[str, Any]]) -> Observation:
@@ -260,6 +277,7 @@ def derive(
         # The gripper is permanently closed and has no actuator to read.
         "gripper_position": np.zeros(1),
         "pose_tcp_in_base": np.concatenate([pose[:3, 3], quat_from_matrix(pose[:3, :3])]),
+        "velocity_tcp_in_base": raw.velocity_tcp_in_base,
     }
     views = {
         camera: derive_view(view, modalities=modalities, keypoints=keypoints, segmenter=segmenter)
@@ -288,17 +306,25 @@ class ObservationBuilder:
         self.raw: RawReadings | None = None
         """What the last observation was made of; for the audit, never for a policy."""
 
-    def build(self, data: mujoco.MjData, *, instruction: str, sim_time_s: float) -> Observation:
-        """``data`` is only read. Images show the last computed kinematics."""
-        robot = self._renderer.proprioception
+    def build(
+        self, data: mujoco.MjData, *, instruction: str, sim_time_s: float, cameras: Sequence[str] | None = None
+    ) -> Observation:
+        """Build one observation. ``data`` is only read. Images show the last computed kinematics.
+
+        ``cameras``: those that take a view; by default all of the card.
+        """
+        robot, taking = self._renderer.proprioception, self._card.cameras if cameras is None else cameras
         angles = self._noise.joint_position(robot.joint_position(data), sim_time_s=sim_time_s)
         # Whatever is computed from the encoders is computed from their noisy readings.
         known = self._renderer.at_encoders(angles) if self._noise.on_encoders else data
+        speeds = self._noise.joint_velocity(robot.joint_velocity(data), sim_time_s=sim_time_s)
+        moving = robot.velocity_tcp_in_base(known, speeds) if self._card.tool_velocity else None
         self.raw = RawReadings(
             joint_position=angles,
-            joint_velocity=robot.joint_velocity(data),
+            joint_velocity=speeds,
+            velocity_tcp_in_base=moving,
             pose_tcp_in_base=robot.pose_tcp_in_base(known),
-            views={c: self.raw_view(data, c, angles=angles, sim_time_s=sim_time_s) for c in self._card.cameras},
+            views={name: self.raw_view(data, name, angles=angles, sim_time_s=sim_time_s) for name in taking},
         )
         return derive(
             self.raw,

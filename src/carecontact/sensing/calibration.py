@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import cv2
 import mujoco
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from carecontact.interface.geometry import quat_from_matrix
 from carecontact.interface.observation import Observation
@@ -37,7 +37,7 @@ def draw_calibration(rng: np.random.Generator, protocol: Protocol) -> dict[str, 
     for name, (shift, turn) in zip(CAMERAS, draws, strict=True):
         if name in protocol.cameras and protocol.cameras[name].mount == "world":
             errors[name] = np.eye(4)
-            errors[name][:3, :3] = cv2.Rodrigues(np.radians(turn_deg) * turn)[0]
+            errors[name][:3, :3] = Rotation.from_rotvec(turn_deg * turn, degrees=True).as_matrix()
             errors[name][:3, 3] = shift_m * shift
     return errors
 

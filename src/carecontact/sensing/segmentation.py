@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Protocol as TypingProtocol
 
-import cv2
 import numpy as np
 
 from carecontact.interface.observation import F32, F64, U8, Bool
@@ -151,12 +150,27 @@ def segment(*, person: F32, depth: F32, robot_depth: F32, cell_depth: F32, point
     nothing is bed. ``points`` (H, W, 3) are the pixels in base [m], NaN without depth.
     """
     robot = robot_mask(depth, robot_depth)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * PERSON_GROWN_PX + 1, 2 * PERSON_GROWN_PX + 1))
-    near = cv2.dilate((person > PERSON_PROBABILITY).astype(np.uint8), disc).astype(bool)
-    human = near & nearer_than_cell(depth, cell_depth) & ~robot
+    human = _grown(person > PERSON_PROBABILITY, PERSON_GROWN_PX) & nearer_than_cell(depth, cell_depth) & ~robot
     plane, bed = bed_plane(points, free=~(human | robot), person=human), np.zeros_like(human)
     if plane is not None:
         with np.errstate(invalid="ignore"):
             above = points[..., 2] - points[..., :2] @ plane[:2] - plane[2]
             bed = (np.abs(above) < BED_BAND_M) & ~human & ~robot
     return {"human": human, "robot": robot, "bed": bed, "background": ~(human | robot | bed)}
+
+
+def _grown(mask: Bool, reach: int) -> Bool:
+    """(H, W) pixels within so many pixels of one that is set."""
+    # Rows grow step by step to either side, and each height of the disc takes the rows of its width.
+    wide = [mask]
+    for step in range(1, reach + 1):
+        row = wide[-1].copy()
+        row[:, step:] |= mask[:, :-step]
+        row[:, :-step] |= mask[:, step:]
+        wide.append(row)
+    out = wide[reach].copy()
+    for step in range(1, reach + 1):
+        row = wide[round(np.sqrt(reach**2 - step**2))]
+        out[step:] |= row[:-step]
+        out[:-step] |= row[step:]
+    return out

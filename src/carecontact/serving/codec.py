@@ -15,7 +15,7 @@ from carecontact.errors import ActionError, ContractError, ObservationError, Pol
 from carecontact.interface.action import MAX_CHUNK, Action, pose_shape_hint
 from carecontact.interface.observation import MASK_NAMES, CameraView, Observation
 from carecontact.interface.policy import CAMERAS, PolicyCard
-from carecontact.interface.robot import ActionBounds, Session
+from carecontact.interface.robot import ActionBounds, Compliance, Session
 from carecontact.serving.packing import is_array, is_list, is_map, pack
 
 Plain = dict[str, object]
@@ -26,6 +26,7 @@ OBSERVATION_ARRAYS: dict[str, tuple[str, Shape]] = {
     "joint_velocity": ("<f8", ("joints",)),
     "gripper_position": ("<f8", (1,)),
     "pose_tcp_in_base": ("<f8", (7,)),
+    "velocity_tcp_in_base": ("<f8", (6,)),
 }
 CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
     "intrinsics": ("<f8", (3, 3)),
@@ -39,11 +40,16 @@ CAMERA_ARRAYS: dict[str, tuple[str, Shape]] = {
 }
 """Field -> dtype and shape; equal letters within one camera, and equal words, stand for equal sizes."""
 MASK: tuple[str, Shape] = ("|b1", ("H", "W"))
+VIEW_TIME = "sim_time_s"
+"""Field of a camera's view that is not sent: a view that is sent has the time of its observation."""
 ALWAYS_IN_VIEW = ("intrinsics", "pose_camera_in_base")
+ON_REQUEST = ("velocity_tcp_in_base",)
+"""Arrays of an observation that are in a message only if the card requests them."""
 MOST_UNKNOWN = 4
 """Most unknown keys of one map that an error message names."""
 VECTORS = {
     "pose_tcp_in_base": "a list or array of 7 numbers (x y z [m], quaternion w x y z) or None",
+    "delta": "a list or array of 6 numbers (translation, rotation) or None",
     "joint": "a list or array of numbers, one for each joint, or None",
     "wrench_in_tcp": "a list or array of 6 numbers (force [N], torque [N m]) or None",
 }
@@ -77,11 +83,17 @@ def observation_sha256(observation: Observation) -> bytes:
 
 
 def encode_observation(observation: Observation) -> Plain:
-    """Encode an observation. Raises ObservationError for a field that does not fit its row, and for an unknown name."""
+    """Encode an observation with the views that were taken for it; the other end has the earlier ones.
+
+    Raises ObservationError for a field that does not fit its row, and for an unknown name.
+    """
     plain = _fields(observation, Observation, ObservationError)
+    plain = {name: value for name, value in plain.items() if value is not None or name not in ON_REQUEST}
     plain["cameras"] = {
-        name: _fields(observation.cameras[name], CameraView, ObservationError) for name in sorted(observation.cameras)
+        name: _fields(observation.cameras[name], CameraView, ObservationError) for name in sorted(observation.new)
     }
+    for view in cast(dict[str, Plain], plain["cameras"]).values():
+        del view[VIEW_TIME]
     decode_observation(plain)
     return plain
 
@@ -90,7 +102,8 @@ def decode_observation(plain: object) -> Observation:
     """Decode an observation. Raises ObservationError naming the field, what was expected and what came instead."""
     entries = _Value(plain, "observation", ObservationError).fields(Observation)
     sizes: dict[str, int] = {}
-    arrays = {name: entries[name].array(row, sizes) for name, row in OBSERVATION_ARRAYS.items()}
+    given = [name for name in OBSERVATION_ARRAYS if name not in ON_REQUEST or entries[name].value is not None]
+    arrays = {name: entries[name].array(OBSERVATION_ARRAYS[name], sizes) for name in given}
     return Observation(
         instruction=entries["instruction"].text(),
         sim_time_s=entries["sim_time_s"].number(),
@@ -100,7 +113,7 @@ def decode_observation(plain: object) -> Observation:
 
 
 def _camera(view: _Value) -> CameraView:
-    entries, sizes = view.fields(CameraView), dict[str, int]()
+    entries, sizes = view.fields(CameraView, absent=VIEW_TIME), dict[str, int]()
     given = [name for name in CAMERA_ARRAYS if name in ALWAYS_IN_VIEW or entries[name].value is not None]
     arrays = {name: entries[name].array(CAMERA_ARRAYS[name], sizes) for name in given}
     masks = None
@@ -138,6 +151,9 @@ def plain_actions(actions: Sequence[object]) -> list[object]:
                 if not is_array(value) or value.dtype.kind not in "fiu":
                     _Value(value, f"act[{i}].{name}", ActionError).refuse(expected)
                 entries[name] = value.astype(np.float64)
+        look = entries.pop("look", ())
+        if not isinstance(look, tuple | list) or look:
+            entries["look"] = list(cast(tuple[object, ...], look)) if isinstance(look, tuple) else look
         if isinstance(entries["stiffness"], tuple):
             entries["stiffness"] = list(cast(tuple[object, ...], entries["stiffness"]))
         plain.append(entries)
@@ -167,10 +183,8 @@ def _action(entries: dict[str, _Value]) -> Action:
         if len(items) not in (2, 6):
             given["stiffness"].refuse("(translational, rotational), six numbers or None")
         stiffness = tuple(item.number() for item in items)
-    done = entries["done"].value
-    if not isinstance(done, bool):
-        entries["done"].refuse("True or False")
-    return Action(**cast(dict[str, Any], {**vectors, **scalars}), stiffness=stiffness, done=done)
+    done, look = entries["done"].flag(), entries["look"].names()
+    return Action(**cast(dict[str, Any], {**vectors, **scalars}), stiffness=stiffness, done=done, look=look)
 
 
 def encode_card(card: object) -> Plain:
@@ -189,9 +203,9 @@ def encode_card(card: object) -> Plain:
 def decode_card(plain: object) -> PolicyCard:
     """Decode a card. Raises PolicyError ``handshake`` naming the field, what was expected and what came instead."""
     try:
-        with_arguments = {"arguments": {}, **plain} if is_map(plain) else plain
-        entries = _Value(with_arguments, "card", ContractError).fields(PolicyCard)
-        texts = ("name", "action_space", "control", "language_backend", "out_of_bounds")
+        whole = {"arguments": {}, "camera_hz": {}, **plain} if is_map(plain) else plain
+        entries = _Value(whole, "card", ContractError).fields(PolicyCard)
+        texts = ("name", "action_space", "delta", "control", "language_backend", "out_of_bounds")
         names = ("modalities", "cameras", "environment")
         arguments = entries["arguments"].value
         if not is_map(arguments) or not all(isinstance(text, str) for text in arguments.values()):
@@ -200,7 +214,9 @@ def decode_card(plain: object) -> PolicyCard:
             **cast(dict[str, Any], {name: entries[name].text() for name in texts}),
             **cast(dict[str, Any], {name: entries[name].names() for name in names}),
             arguments=cast(dict[str, str], arguments),
+            camera_hz=cast(dict[str, float], entries["camera_hz"].value),
             control_hz=entries["control_hz"].number(),
+            tool_velocity=entries["tool_velocity"].flag(),
         )
     except ContractError as error:
         raise PolicyError("handshake", str(error)) from None
@@ -209,8 +225,13 @@ def decode_card(plain: object) -> PolicyCard:
 def encode_session(session: Session) -> Plain:
     plain = _fields(session, Session, ContractError)
     plain["action_bounds"] = _fields(session.action_bounds, ActionBounds, ContractError)
+    compliance = plain.pop("compliance")
+    if compliance is not None:
+        plain["compliance"] = _fields(compliance, Compliance, ContractError)
     decode_session(plain)
-    return plain
+    # A session of an ideal arm is written as it always was.
+    later = {"force_bias_n": 0.0, "joint_friction_nm": ()}
+    return {name: value for name, value in plain.items() if name not in later or value != later[name]}
 
 
 def decode_session(plain: object) -> Session:
@@ -231,6 +252,17 @@ def decode_session(plain: object) -> Session:
         joint_high_rad=entries["joint_high_rad"].numbers(len(low)),
         camera_sizes_px=sizes,
         time_limit_s=entries["time_limit_s"].number(),
+        compliance=None if entries["compliance"].value is None else _compliance(entries["compliance"]),
+        force_bias_n=entries["force_bias_n"].number(),
+        joint_friction_nm=entries["joint_friction_nm"].numbers(None),
+    )
+
+
+def _compliance(value: _Value) -> Compliance:
+    entries = value.fields(Compliance)
+    stiffness = entries.pop("stiffness").numbers(2)
+    return Compliance(
+        stiffness=cast(tuple[float, float], stiffness), **{name: entry.number() for name, entry in entries.items()}
     )
 
 
@@ -256,11 +288,12 @@ class _Value:
             shown = f"an array {self.value.dtype} {self.value.shape}"
         raise self.error(f"{self.place}: expected {expected}, got {shown}{hint}")
 
-    def fields(self, kind: type[Any]) -> dict[str, _Value]:
-        """Return the entries of a map of the fields of ``kind``; those with a plain default may be absent."""
+    def fields(self, kind: type[Any], *, absent: str = "") -> dict[str, _Value]:
+        """Return the entries of a map of the fields of ``kind``; those with a plain default may be absent, and the
+        field ``absent`` must be."""
         if not is_map(self.value):
             self.refuse("a map")
-        fields = {field.name: field.default for field in dataclasses.fields(kind)}
+        fields = {field.name: field.default for field in dataclasses.fields(kind) if field.name != absent}
         if unknown := sorted(self.value.keys() - fields.keys()):
             named = ", ".join(f"{key:.80}{did_you_mean(key, fields)}" for key in unknown[:MOST_UNKNOWN])
             raise self.error(f"{self.place}: unknown key {named}; valid: {', '.join(fields)}")
@@ -294,6 +327,9 @@ class _Value:
         if not is_list(names) or not all(isinstance(n, str) for n in names):
             self.refuse("a list of names")
         return tuple(cast(list[str], names))
+
+    def flag(self) -> bool:
+        return self.value if isinstance(self.value, bool) else self.refuse("True or False")
 
     def number(self) -> float:
         value = self.value

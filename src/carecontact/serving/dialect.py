@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 from carecontact.errors import ConfigError, PolicyError, did_you_mean
+from carecontact.interface.deltas import DELTA_SPACE
 from carecontact.interface.policy import PolicyCard, PolicyRef
+from carecontact.interface.robot import CARTESIAN_IMPEDANCE
+from carecontact.serving.cartesian import IMAGE, ORIENTATIONS, SETUPS, STATE, WRIST_IMAGE, delta_card
 from carecontact.serving.packing import is_list
 
 EXTERIOR = "observation/exterior_image_{}_left"
@@ -49,34 +52,43 @@ class Profile:
     sent, and pictures are stretched to their size; openpi pads them without distortion."""
     session: bool = False
     """Whether requests carry a random session id."""
+    setup: str = ""
+    """Name in SETUPS if the policy answers differences of the tool's pose; empty for one that answers joints."""
+    orientation: str = "upright"
+    """Name in ORIENTATIONS."""
 
     @property
     def exterior_keys(self) -> dict[str, str]:
         """Name of our camera -> key of its picture."""
+        if self.setup:
+            return {"exterior": IMAGE}
         cameras = EXTERIOR_CAMERAS[: self.exterior_cameras]
         return {camera: EXTERIOR.format(self.first_exterior + i) for i, camera in enumerate(cameras)}
 
     @property
-    def cameras(self) -> tuple[str, ...]:
-        return (*self.exterior_keys, *(("wrist",) if self.wrist else ()))
+    def picture_keys(self) -> dict[str, str]:
+        """The same, with the wrist camera if it is sent."""
+        return self.exterior_keys | ({"wrist": WRIST_IMAGE if self.setup else WRIST} if self.wrist else {})
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Every key of a request, without those inside arrays."""
         roboarena = (ENDPOINT, CARTESIAN) if self.endpoint else ()
         session = (SESSION,) if self.session else ()
-        wrist = (WRIST,) if self.wrist else ()
-        return (*self.exterior_keys.values(), *wrist, JOINTS, GRIPPER, PROMPT, *roboarena, *session)
+        state = (STATE,) if self.setup else (JOINTS, GRIPPER)
+        return (*self.picture_keys.values(), *state, PROMPT, *roboarena, *session)
 
     def metadata(self) -> dict[str, object]:
-        """Return this profile as a server announces it, in the fields of RoboArena's PolicyServerConfig."""
+        """Return this profile as a server announces it, in the fields of RoboArena's PolicyServerConfig; deltas have no
+        name there."""
+        theirs = next((theirs for theirs, ours in SPACES.items() if ours == self.action_space), self.action_space)
         return {
             "image_resolution": None if self.image_hw is None else list(self.image_hw),
             "needs_wrist_camera": self.wrist,
             "n_external_cameras": self.exterior_cameras,
             "needs_stereo_camera": False,
             "needs_session_id": self.session,
-            "action_space": next(theirs for theirs, ours in SPACES.items() if ours == self.action_space),
+            "action_space": theirs,
         }
 
 
@@ -85,9 +97,22 @@ PROFILES = {
     "pi05-droid-jointpos": Profile(
         name="pi05-droid-jointpos", action_space="joint_position", control="droid-sim-evals"
     ),
+    **{
+        name: Profile(
+            name=name,
+            setup=name,
+            action_space=DELTA_SPACE,
+            control=CARTESIAN_IMPEDANCE,
+            wrist=setup.wrist,
+            horizon=setup.horizon,
+            orientation=setup.orientation,
+        )
+        for name, setup in SETUPS.items()
+    },
 }
 """``pi05-droid`` follows openpi's examples/droid/main.py, ``pi05-droid-jointpos`` the client of PolaRiS. Both send the
-keys of openpi's policies/droid_policy.py. A server's metadata do not say which of the two it expects."""
+keys of openpi's policies/droid_policy.py. A server's metadata do not say which of the two it expects. The others are
+those of SETUPS."""
 
 
 def named_profile(options: Mapping[str, str]) -> Profile:
@@ -95,8 +120,24 @@ def named_profile(options: Mapping[str, str]) -> Profile:
     name = options["profile"]
     if name not in PROFILES:
         raise ConfigError(f"no profile named {name!r}{did_you_mean(name, PROFILES)}; valid: {', '.join(PROFILES)}")
-    horizon = int(options.get("horizon", str(PROFILES[name].horizon)))
-    return replace(PROFILES[name], horizon=horizon, first_exterior=int(options.get("exterior", "1")))
+    profile = PROFILES[name]
+    horizon = int(options.get("horizon", str(profile.horizon)))
+    if not profile.setup:
+        if "orientation" in options:
+            raise ConfigError(f"orientation: the profile {name} has upright pictures; only {', '.join(SETUPS)} take it")
+        return replace(profile, horizon=horizon, first_exterior=int(options.get("exterior", "1")))
+    if "exterior" in options:
+        raise ConfigError(f"exterior: the pictures of the profile {name} have no number; leave it out")
+    return replace(profile, horizon=horizon, orientation=named_orientation(options, profile.orientation))
+
+
+def named_orientation(options: Mapping[str, str], default: str) -> str:
+    """Return the orientation of pictures that an address names. Raises ConfigError for an unknown name."""
+    name = options.get("orientation", default)
+    if name not in ORIENTATIONS:
+        meant = did_you_mean(name, ORIENTATIONS)
+        raise ConfigError(f"no orientation named {name!r}{meant}; valid: {', '.join(ORIENTATIONS)}")
+    return name
 
 
 def announced_profile(metadata: Mapping[str, object], options: Mapping[str, str]) -> Profile:
@@ -169,13 +210,17 @@ def fitting(metadata: Mapping[str, object]) -> str:
 
 def card_of(profile: Profile) -> PolicyCard:
     """Make the card of a server that sends none. Its arguments hold all that decides what is sent (``profile_of``)."""
+    if profile.setup:
+        arguments = {"dialect": "openpi", "profile": profile.name, "horizon": str(profile.horizon)}
+        arguments["orientation"] = profile.orientation
+        return delta_card(f"openpi {profile.name}", SETUPS[profile.setup], tuple(profile.picture_keys), arguments)
     arguments = {"dialect": "openpi", "exterior": str(profile.first_exterior)}
     if profile.endpoint:
         arguments |= {"dialect": "roboarena", METADATA: json.dumps(profile.metadata())}
     else:
         arguments |= {"profile": profile.name, "horizon": str(profile.horizon)}
     name = profile.name if profile.endpoint else f"openpi {profile.name}"
-    return joint_card(name, profile.action_space, profile.cameras, arguments, control=profile.control)
+    return joint_card(name, profile.action_space, tuple(profile.picture_keys), arguments, control=profile.control)
 
 
 def joint_card(
@@ -207,13 +252,32 @@ def check_options(ref: PolicyRef) -> None:
     or action space; the message lists the known ones.
     """
     options, spaces = dict(ref.options), tuple(SPACES.values())
-    if "profile" in options:
-        try:
+    try:
+        if "space" in options and options["space"] not in spaces:
+            meant = did_you_mean(options["space"], spaces)
+            raise ConfigError(
+                f"no action space {options['space']!r} in this dialect{meant}; valid: {', '.join(spaces)}"
+            )
+        if ref.scheme == "vla-eval":
+            vla_eval_setup(options)
+        elif "profile" in options:
             named_profile(options)
-        except ConfigError as error:
-            raise ConfigError(f"policy {ref}: {error}") from None
-    if "space" in options and options["space"] not in spaces:
-        meant = did_you_mean(options["space"], spaces)
-        raise ConfigError(
-            f"policy {ref}: no action space {options['space']!r} in this dialect{meant}; valid: {', '.join(spaces)}"
-        )
+        elif "orientation" in options:
+            raise ConfigError(f"orientation: only the profiles {', '.join(SETUPS)} take it")
+    except ConfigError as error:
+        raise ConfigError(f"policy {ref}: {error}") from None
+
+
+def vla_eval_setup(options: Mapping[str, str]) -> tuple[str, str] | None:
+    """Return the profile and the orientation that the address of a vla-eval server names; None without a profile.
+    Raises ConfigError for an unknown profile, and for options that exclude each other."""
+    if "profile" not in options:
+        if "orientation" in options:
+            raise ConfigError(f"orientation: only the profiles {', '.join(SETUPS)} take it")
+        return None
+    name = options["profile"]
+    if name not in SETUPS:
+        raise ConfigError(f"no profile named {name!r}{did_you_mean(name, SETUPS)}; valid: {', '.join(SETUPS)}")
+    if "space" in options:
+        raise ConfigError(f"space: the profile {name} says that the actions are {DELTA_SPACE}; leave space out")
+    return name, named_orientation(options, SETUPS[name].orientation)

@@ -8,7 +8,10 @@ from PIL import Image
 
 from carecontact.errors import ActionError, ObservationError
 from carecontact.interface.action import MAX_CHUNK, Action
+from carecontact.interface.deltas import WIDTH as DELTA_WIDTH
+from carecontact.interface.deltas import DeltaConvention
 from carecontact.interface.observation import U8, Observation
+from carecontact.serving.cartesian import ORIENTATIONS, Setup
 from carecontact.serving.packing import is_array
 
 CAPTURED_HW = (288, 512)
@@ -21,20 +24,27 @@ GRIPPER_SLACK = 0.5
 other conventions, -1 to 1 and 0 to 255, exceed it by more than this."""
 
 
-def picture_of(observation: Observation, camera: str) -> U8:
-    """Return a camera's picture (H, W, 3), cut to 16:9. Raises ObservationError if there is none."""
+def picture_of(observation: Observation, camera: str, *, aspect: tuple[int, int] = (16, 9)) -> U8:
+    """Return a camera's picture (H, W, 3), cut to the aspect. Raises ObservationError if there is none."""
     view = observation.cameras.get(camera)
     if view is None or view.rgb is None:
         raise ObservationError(f"observation.cameras.{camera}.rgb: expected a picture, got none")
-    return cropped_16_9(view.rgb)
+    return cropped(view.rgb, aspect)
 
 
-def cropped_16_9(image: U8) -> U8:
-    """Cut an (H, W, 3) picture to 16:9 about its centre, as DROID's cameras have it; one of 16:9 stays as it is."""
-    height, width = image.shape[:2]
-    high, wide = min(height, width * 9 // 16), min(width, height * 16 // 9)
+def cropped(image: U8, aspect: tuple[int, int]) -> U8:
+    """Cut an (H, W, 3) picture to an aspect, width to height, about its centre; one that has it stays as it is. DROID's
+    cameras have 16:9."""
+    (height, width), (across, down) = image.shape[:2], aspect
+    high, wide = min(height, width * down // across), min(width, height * across // down)
     top, left = (height - high) // 2, (width - wide) // 2
     return image[top : top + high, left : left + wide]
+
+
+def setup_picture(observation: Observation, camera: str, setup: Setup, *, orientation: str, hw: tuple[int, int]) -> U8:
+    """Return a camera's picture as a benchmark shows it: cut, turned, and resized without regard to its shape."""
+    image = ORIENTATIONS[orientation](picture_of(observation, camera, aspect=setup.aspect))
+    return _resized(image, hw, Image.Resampling.LANCZOS if setup.lanczos else Image.Resampling.BILINEAR)
 
 
 def padded(image: U8, hw: tuple[int, int]) -> U8:
@@ -80,15 +90,44 @@ def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool
 
     Raises ActionError if the chunk is not such an array; the message says what was expected and what may help.
     """
-    expected = f"actions: expected an array of numbers (steps, {WIDTH}): {JOINTS} joints and the gripper"
+    values = _rows(chunk, f"{JOINTS} joints and the gripper", width=WIDTH, horizon=horizon)
+    if grips:
+        _check_grip(values[:, -1], "0 (open) to 1 (closed)", opening=1 - values[:, -1])
+    joints: npt.NDArray[np.float64] = values[:horizon, :JOINTS]
+    if space == "droid_joint_velocity":
+        return [Action(joint=row) for row in np.clip(joints, -1.0, 1.0)]
+    if (far := np.abs(joints).max()) > 2 * np.pi:
+        raise ActionError(f"actions: expected joint angles in radians, got {far:g}: the server answers in degrees?")
+    return [Action(joint=row) for row in joints]
+
+
+def delta_actions(
+    chunk: object, *, horizon: int | None, convention: DeltaConvention, grips: bool = True
+) -> list[Action]:
+    """Return the same for rows (N, 7) of a convention. Numbers beyond its bounds are moved onto them, as robosuite and
+    Bridge's robots do; the gripper command is checked and ignored.
+
+    Raises ActionError as ``joint_actions`` does.
+    """
+    columns = "three of translation, three of rotation and the gripper"
+    values = _rows(chunk, columns, width=DELTA_WIDTH, horizon=horizon)
+    if grips:
+        (closed, opened), commands = convention.gripper, values[:, -1]
+        _check_grip(commands, f"{opened:g} (open) to {closed:g} (closed)", opening=convention.opening(commands))
+    return [Action(delta=row) for row in convention.clipped(values[:horizon, :-1])]
+
+
+def _rows(chunk: object, columns: str, *, width: int, horizon: int | None) -> npt.NDArray[np.float64]:
+    """Return a chunk as numbers (N, width), the gripper's command last."""
+    expected = f"actions: expected an array of numbers (steps, {width}): {columns}"
     if not is_array(chunk):
         raise ActionError(f"{expected}, got {type(chunk).__name__} {chunk!r:.80}")
-    if chunk.dtype.kind not in "fiu" or chunk.ndim != 2 or chunk.shape[1] != WIDTH or not 1 <= len(chunk) <= MAX_CHUNK:
+    if chunk.dtype.kind not in "fiu" or chunk.ndim != 2 or chunk.shape[1] != width or not 1 <= len(chunk) <= MAX_CHUNK:
         hint = ""
-        if chunk.shape[-1:] == (JOINTS,):
+        if chunk.shape[-1:] == (width - 1,):
             hint = ": the gripper's column is missing"
-        elif chunk.shape[-1:] > (WIDTH,):
-            hint = f": columns from number {WIDTH + 1} on have no meaning here"
+        elif chunk.shape[-1:] > (width,):
+            hint = f": columns from number {width + 1} on have no meaning here"
         raise ActionError(f"{expected}, 1 to {MAX_CHUNK} steps, got {chunk.dtype} {chunk.shape}{hint}")
     # Converting a NaN to another width may raise a floating-point warning; the check below names the NaN.
     with np.errstate(invalid="ignore"):
@@ -96,20 +135,19 @@ def joint_actions(chunk: object, *, horizon: int | None, space: str, grips: bool
     if not np.isfinite(values).all():
         row, column = np.argwhere(~np.isfinite(values))[0].tolist()
         raise ActionError(f"actions[{row}]: expected finite numbers, got {values[row, column]} in column {column + 1}")
-    outside = np.flatnonzero((values[:, -1] < -GRIPPER_SLACK) | (values[:, -1] > 1 + GRIPPER_SLACK))
-    if grips and len(outside):
-        raise ActionError(
-            f"actions[{outside[0]}]: expected a gripper command of 0 (open) to 1 (closed) in the last column, got "
-            f"{values[outside[0], -1]:g}: the server has another convention, or its columns are in another order"
-        )
     if horizon is not None and len(values) < horizon:
         raise ActionError(
             f"actions: expected at least {horizon} steps, the horizon, got {len(values)}; add horizon={len(values)} "
             "to the address"
         )
-    joints: npt.NDArray[np.float64] = values[:horizon, :JOINTS]
-    if space == "droid_joint_velocity":
-        return [Action(joint=row) for row in np.clip(joints, -1.0, 1.0)]
-    if (far := np.abs(joints).max()) > 2 * np.pi:
-        raise ActionError(f"actions: expected joint angles in radians, got {far:g}: the server answers in degrees?")
-    return [Action(joint=row) for row in joints]
+    return values
+
+
+def _check_grip(commands: npt.NDArray[np.float64], expected: str, *, opening: npt.NDArray[np.float64]) -> None:
+    """Raise ActionError for gripper commands (N,) of another convention, by the openings (N,) that they would mean."""
+    outside = np.flatnonzero((opening < -GRIPPER_SLACK) | (opening > 1 + GRIPPER_SLACK))
+    if len(outside):
+        raise ActionError(
+            f"actions[{outside[0]}]: expected a gripper command of {expected} in the last column, got "
+            f"{commands[outside[0]]:g}: the server has another convention, or its columns are in another order"
+        )

@@ -20,6 +20,7 @@ from carecontact.errors import ActionError, PolicyError
 from carecontact.interface.observation import U8, Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import PANDA, Session
+from carecontact.serving.cartesian import SETUPS, STATE
 from carecontact.serving.client import ActReply, Client, reported, sha256, unpacked
 from carecontact.serving.connection import Connection
 from carecontact.serving.dialect import (
@@ -30,7 +31,6 @@ from carecontact.serving.dialect import (
     PROFILES,
     PROMPT,
     SESSION,
-    WRIST,
     Profile,
     announced_profile,
     card_of,
@@ -38,7 +38,14 @@ from carecontact.serving.dialect import (
     fitting,
     named_profile,
 )
-from carecontact.serving.dialect_media import joint_actions, padded, picture_of, stretched
+from carecontact.serving.dialect_media import (
+    delta_actions,
+    joint_actions,
+    padded,
+    picture_of,
+    setup_picture,
+    stretched,
+)
 from carecontact.serving.packing import OPENPI, is_array, is_map
 
 HAND_TURN_RAD = -np.pi / 4
@@ -61,8 +68,9 @@ def infer_request(observation: Observation, profile: Profile, *, session_id: str
 
     Raises ObservationError if a picture that the profile's card requests is missing.
     """
-    keys = profile.exterior_keys | ({"wrist": WRIST} if profile.wrist else {})
-    images = {key: _image(observation, camera, profile) for camera, key in keys.items()}
+    images = {key: _image(observation, camera, profile) for camera, key in profile.picture_keys.items()}
+    if profile.setup:
+        return {**images, STATE: SETUPS[profile.setup].state(observation), PROMPT: observation.instruction}
     joints = np.asarray(observation.joint_position, "<f8")
     # Our gripper reads 0 when it is closed, theirs 1.
     gripper = 1.0 - np.asarray(observation.gripper_position, "<f8")
@@ -94,6 +102,9 @@ def cartesian_position(pose_tcp_in_base: npt.NDArray[np.float64]) -> npt.NDArray
 
 
 def _image(observation: Observation, camera: str, profile: Profile) -> U8:
+    if profile.setup and profile.image_hw is not None:
+        setup = SETUPS[profile.setup]
+        return setup_picture(observation, camera, setup, orientation=profile.orientation, hw=profile.image_hw)
     image = picture_of(observation, camera)
     if profile.endpoint or profile.image_hw is None:
         return stretched(image, profile.image_hw)
@@ -172,7 +183,10 @@ class OpenpiClient(Client):
         if self._profile.endpoint and is_array(chunk) and chunk.ndim == 1:
             chunk = chunk[None]  # One action, as for RoboArena's client.
         try:
-            actions = joint_actions(chunk, horizon=self._profile.horizon, space=self._profile.action_space)
+            if setup := SETUPS.get(self._profile.setup):
+                actions = delta_actions(chunk, horizon=self._profile.horizon, convention=setup.convention)
+            else:
+                actions = joint_actions(chunk, horizon=self._profile.horizon, space=self._profile.action_space)
         except ActionError as error:
             raise PolicyError("action", str(error)) from None
         return ActReply(actions=actions, sent=message, sent_sha256=digest(request))

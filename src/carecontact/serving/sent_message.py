@@ -38,7 +38,7 @@ def rebuilt_message(
     was = unpacked_message(sent, dialect)
     known = was if packing.is_map(was) else {}
     if dialect == "vla-eval":
-        payload = vla_eval.observation_payload(observation, cameras, state=arguments["state"] == "yes")
+        payload = vla_eval.observation_payload(observation, cameras, arguments)
         seq = known.get("seq")
         return vla_eval.message("observation", payload, seq=seq if isinstance(seq, int) else 0)
     session_id = str(known.get(SESSION, ""))

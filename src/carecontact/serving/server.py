@@ -15,6 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
 from carecontact.errors import ActionError, ContractError, LanguageError, PolicyError, ProgramError
+from carecontact.interface.observation import LastViews
 from carecontact.interface.policy import Policy, PolicyCard
 from carecontact.serving import codec
 from carecontact.serving.packing import MAX_MESSAGE_BYTES, MAX_REPLY_BYTES, is_map, pack, unpack
@@ -128,8 +129,9 @@ def converse(
                 environment=tuple(dict.fromkeys((*card.environment, *environment))),
             )
         connection.send(pack({"type": "card", "card": codec.encode_card(card)}))
+        views = LastViews()
         for frame in connection:
-            reply = _answer(policy, frame)
+            reply = _answer(policy, frame, views)
             if reply is None:
                 return
             connection.send(pack(reply))
@@ -162,18 +164,19 @@ def _notes(policy: Policy) -> dict[str, object]:
     return {"notes": notes} if notes else {}
 
 
-def _answer(policy: Policy, frame: str | bytes) -> dict[str, object] | None:
+def _answer(policy: Policy, frame: str | bytes, views: LastViews) -> dict[str, object] | None:
     message = unpack(frame) if isinstance(frame, bytes) else None
     entries = message if is_map(message) else {}
     kind, keys = entries.get("type"), entries.keys() - {"type"}
     if kind == "reset" and keys == {"instruction", "session"}:
+        views.forget()
         configure: Any = getattr(policy, "configure", None)
         if configure is not None:
             configure(codec.decode_session(entries["session"]))
         policy.reset(str(entries["instruction"]))
         return {"type": "ready"}
     if kind == "act" and keys == {"observation"}:
-        answer = policy.act(codec.decode_observation(entries["observation"]))
+        answer = policy.act(views.completed(codec.decode_observation(entries["observation"])))
         return {"type": "actions", "actions": codec.encode_actions(answer), **_notes(policy)}
     if kind == "close" and not keys:
         return None

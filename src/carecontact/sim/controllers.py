@@ -9,6 +9,7 @@ import numpy.typing as npt
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.robot import JointImpedance
 from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.sections import DAMPING_RATIO
 from carecontact.sim.impedance import (
     Posture,
     TargetInterpolator,
@@ -45,11 +46,16 @@ class CartesianControl:
         self.feedforward: F64 = np.zeros(6)
         """(6,) force [N] and torque [N m] in the axes of the tool that are added to the springs' wrench. The clamp of
         each axis holds for the sum."""
-        # Simulations may share a compiled scene, and another one may have ended with its feedforward in force.
-        model.actuator_biasprm[self._rows, 0] = 0.0
-        impedance = protocol.impedance
-        set_gains(model, np.repeat([impedance.translational_n_m, impedance.rotational_nm_rad], 3), 1.0, protocol)
-        self._damping = -model.actuator_biasprm[self._rows, 2]
+        self._relax()
+
+    def _relax(self) -> None:
+        """Take back gains and feedforward: simulations may share a compiled scene, and another one, or an earlier trial
+        of this one, may have ended with its own in force."""
+        impedance, self.feedforward = self._protocol.impedance, np.zeros(6)
+        self._model.actuator_biasprm[self._rows, 0] = 0.0
+        stiffness = np.repeat([impedance.translational_n_m, impedance.rotational_nm_rad], 3)
+        set_gains(self._model, stiffness, DAMPING_RATIO, self._protocol)
+        self._damping = -self._model.actuator_biasprm[self._rows, 2]
 
     @property
     def target_in_base(self) -> F64:
@@ -65,6 +71,11 @@ class CartesianControl:
     def resume(self) -> None:
         """Continue from a restored state, with the target where this state has it."""
         self.target.reset(target_in_base(self._model, self._data, self._robot))
+
+    def forget(self) -> None:
+        """Continue from a restored state as a new controller would, without what earlier actions asked for."""
+        self._relax()
+        self.resume()
 
     def set_gains(self, stiffness: F64, damping_ratio: float = 1.0) -> None:
         """See ``impedance.set_gains``. Needs current kinematics."""
@@ -137,6 +148,12 @@ class JointControl:
         self.set_target(self._data.qpos[self._qpos])
 
     resume = park
+
+    def forget(self) -> None:
+        """As ``CartesianControl.forget``."""
+        self.resume()
+        self.refresh()
+        self.fastest = None
 
     def refresh(self) -> None:
         """Write target, Jacobian and Coriolis torque of this moment into the model and its controls."""

@@ -68,6 +68,7 @@ class SceneRenderer:
         self._everything = mujoco.MjvOption()
         self._robot_only, self._furniture_only = _geoms_only(VISUAL_GROUP), _geoms_only(FURNITURE_GROUP)
         self._empty_cell: dict[str, F32] = {}
+        self._stale_skin = False
         self.renders: Counter[str] = Counter()
         self.drawn_by = "nothing was drawn"
         """Vendor, renderer and version, as OpenGL names what draws the images."""
@@ -175,6 +176,10 @@ class SceneRenderer:
         rotation = data.cam_xmat[index].reshape(3, 3) @ _CV_FROM_GL
         return self.proprioception.in_base(data, data.cam_xpos[index], rotation)
 
+    def skin_changed(self) -> None:
+        """Have the next colour image show the skin's texture as the model has it now; a new context does so anyway."""
+        self._stale_skin = self._mjr is not None
+
     def close(self) -> None:
         """Give the OpenGL context back; a later image makes a new one."""
         if self._mjr is not None:
@@ -210,6 +215,9 @@ class SceneRenderer:
         fixed.type = mujoco.mjtCamera.mjCAMERA_FIXED
         fixed.fixedcamid = self._model.camera(camera).id
         mjr, scene = self._prepared()
+        if self._stale_skin and not flat:
+            mujoco.mjr_uploadTexture(self._model, mjr, self._model.texture("human_skin").id)
+            self._stale_skin = False
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, option, mujoco.MjvPerturb(), view or fixed, everything, scene)
         if edit is not None:

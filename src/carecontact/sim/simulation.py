@@ -146,6 +146,9 @@ class Simulation:
             else JointControl(self.model, self.data, self.protocol, law)
         )
         """What commands the robot, once in every target period."""
+        self.force_bias_n = np.zeros(3)
+        """(3,) force at the tool, in base, that the arm exerts beside what is commanded; from the next refresh on."""
+        self._flange, self._tcp = self.model.body(self.robot.flange_body).id, self.model.site(self.robot.tcp_site).id
         self.normal_sum_truncated = False
         """Whether a segment had more contacts at once than its normal sensor has slots."""
         self._unsolved = False
@@ -264,6 +267,8 @@ class Simulation:
         while steps > 0:
             if self._until_target == 0:
                 self.control.refresh()
+                if self.protocol.arm_errors is not None:
+                    self._apply_bias()
                 self._until_target = period
             count = min(steps, self._until_target)
             mujoco.mj_step(self.model, self.data, count)
@@ -272,6 +277,13 @@ class Simulation:
             steps -= count
             self._until_target -= count
         return out
+
+    def _apply_bias(self) -> None:
+        """MuJoCo applies a force at the centre of mass of a body; its moment moves it to the tool centre point."""
+        data = self.data
+        force = data.xmat[self._base.id].reshape(3, 3) @ self.force_bias_n
+        lever = data.site_xpos[self._tcp] - data.xipos[self._flange]
+        data.xfrc_applied[self._flange] = np.r_[force, np.cross(lever, force)]
 
     def refresh(self) -> None:
         """Bring poses, cameras and skin up to the current joint angles: a step leaves them where it began.
@@ -305,9 +317,24 @@ class Simulation:
         self.control.resume()
         self.start()
 
+    def put_back(self, state: F64) -> None:
+        """Begin again at t = 0 from what ``integration_state`` gave there, as if nothing had happened since.
+
+        What a trial changes in the model has to be as it was then (``episode.worlds.KeptWorld``).
+        """
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_forward(model, data)
+        # Again, because the solver has moved the point from which it starts.
+        mujoco.mj_setState(model, data, state, STATE)
+        self.control.forget()
+        self.normal_sum_truncated = self._unsolved = False
+        self.start()
+
     def take_over(self, other: Simulation) -> None:
         """Continue, under this world's control, from where another simulation of the same world is."""
-        self.data.time = other.data.time
+        self.data.time, self.force_bias_n = other.data.time, other.force_bias_n
         for name in ("qpos", "qvel", "qacc_warmstart", "plugin_state", "mocap_pos", "mocap_quat"):
             getattr(self.data, name)[:] = getattr(other.data, name)
         self.control.resume()

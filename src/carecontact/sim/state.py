@@ -20,6 +20,7 @@ class Proprioception:
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._base = model.body(robot.base_body).id
         self._tcp = model.site(robot.tcp_site).id
+        self._model = model
 
     def joint_position(self, data: mujoco.MjData) -> F64:
         """(joints,) [rad]"""
@@ -28,6 +29,15 @@ class Proprioception:
     def joint_velocity(self, data: mujoco.MjData) -> F64:
         """(joints,) [rad/s]"""
         return data.qvel[self._dof].copy()
+
+    def velocity_tcp_in_base(self, data: mujoco.MjData, joint_velocity: F64) -> F64:
+        """(6,) velocity of the tool centre point [m/s] and angular velocity of the tool [rad/s] in base, for joint
+        velocities (joints,) [rad/s] at the angles of ``data``, whose kinematics are current."""
+        jacobian = np.zeros((6, self._model.nv))
+        mujoco.mj_comPos(self._model, data)
+        mujoco.mj_jacSite(self._model, data, jacobian[:3], jacobian[3:], self._tcp)
+        base = data.xmat[self._base].reshape(3, 3)
+        return ((jacobian[:, self._dof] @ joint_velocity).reshape(2, 3) @ base).ravel()
 
     def set_joint_position(self, data: mujoco.MjData, joint_position: npt.ArrayLike) -> None:
         """Set the robot's joints [rad] in a copy of the state that shows the robot alone. Raises ValueError for another

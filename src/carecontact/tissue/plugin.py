@@ -54,6 +54,13 @@ def _load() -> ctypes.CDLL:
     return library
 
 
+@cache
+def loaded_sha256() -> str:
+    """Return the sha256 (hex) of the binary that this process has loaded: it is one and the same from then on."""
+    load_plugins()
+    return binary_lookup.binary_sha256()
+
+
 # A soft region is an instance of the plugin on the bone. It reads the custom numerics ``<name>/vertices``, ``/edges``,
 # ``/triangles``, ``/law``, ``/options`` and ``/contact``, whose columns are those of ``c/region.h``.
 

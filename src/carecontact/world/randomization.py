@@ -11,18 +11,19 @@ from math import radians
 import mujoco
 import numpy as np
 
+from carecontact.human.foam import Spot
 from carecontact.human.pose import RIGHT_SHOULDER_M
 from carecontact.human.skeleton import ROOT_JOINT
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.protocol.person import Alive, Repositioning
 from carecontact.protocol.protocol import Protocol
-from carecontact.protocol.sections import Camera, Variation
+from carecontact.protocol.sections import FOAM_COLOURS, Camera, Variation
 from carecontact.tissue.life import JOINTS, MOST_MOVES, MotionScript, Move, Pull
 from carecontact.world.room import SUPPORT
 
 STREAMS = (
     *"comfort_arm appearance sensor_noise policy light place breathing repositioning withdrawal".split(),
-    *"calibration tissue body pose park camera bed_height".split(),
+    *"calibration tissue body pose park camera bed_height arm foam".split(),
 )
 """The names of the streams, in the order of the seed's children; a new one has to go to the end."""
 
@@ -104,11 +105,36 @@ def overhead_of(protocol: Protocol, seed: int, salt: str) -> Camera:
     return camera.model_copy(update={name: tuple(values.tolist()) for name, values in pose.items()})
 
 
+def arm_bias_of(protocol: Protocol, seed: int, salt: str) -> np.ndarray:
+    """Return the force (3,) at the tool, in base, that the arm of a seed exerts beside what is commanded [N]."""
+    errors = protocol.arm_errors
+    return np.zeros(3) if errors is None else errors.force_bias_n * streams(protocol, seed, salt)["arm"].normal(size=3)
+
+
 def _rotation(vector: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) about the direction of a vector (3,) by its length [rad]."""
     angle = float(np.linalg.norm(vector))
     axis = vector / angle if angle else np.array([0.0, 0.0, 1.0])
     return matrix_from_quat(np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis)]))
+
+
+def spot_of(protocol: Protocol, task_id: str, seed: int, salt: str) -> Spot | None:
+    """Return where the seed puts foam for a task, and in which colour; None where the task has none. The tasks on one
+    region share the draw, and so do the levels."""
+    if protocol.foam is None or not protocol.has_foam(task_id):
+        return None
+    foam, task = protocol.foam, protocol.task(task_id)
+    of_region = np.random.default_rng([*streams(protocol, seed, salt)["foam"].integers(2**32, size=4).tolist(),
+                                       *words(task.region)])  # fmt: skip
+    along, around = float(of_region.uniform(*foam.along)), float(of_region.uniform(-1.0, 1.0))
+    cleaned = task.action == "scrub"
+    return Spot(
+        along=along,
+        around_rad=radians(around * foam.around_deg),
+        half_m=foam.oval_m if cleaned else (foam.disc_m, foam.disc_m),
+        colour=FOAM_COLOURS[foam.colours[int(of_region.integers(len(foam.colours)))]],
+        on_cells=cleaned,
+    )
 
 
 SHOULDER = np.array([*RIGHT_SHOULDER_M, 0.0])

@@ -30,6 +30,9 @@ JOINT_DAMPING = 1.0
 """[N m s/rad] light viscous friction; assumed."""
 JOINT_ARMATURE = 0.1
 """[kg m^2] reflected rotor inertia of the harmonic drives; assumed, the value commonly used for this arm."""
+STICKS = (0.99, 0.99, 0.001, 0.5, 2.0)
+"""MuJoCo's impedance of dry friction (solimpfriction). A joint that sticks creeps with a hundredth of its friction over
+its inertia for every 10 ms; at the default of 0.9, with a tenth."""
 COLOURS = {
     "white": (0.93, 0.94, 0.95, 1.0),
     "grey": (0.80, 0.82, 0.84, 1.0),
@@ -84,6 +87,10 @@ def add_robot(spec: mujoco.MjSpec, protocol: Protocol) -> None:
     place = {"pos": scene.robot_base_m, "quat": [np.cos(half_yaw), 0.0, 0.0, np.sin(half_yaw)]}
     robot, source = scene.robot, scene.robot.source
     base = _attach(spec, robot, source, place) if isinstance(source, Mjcf) else _add_baked(spec, robot, source, place)
+    if protocol.arm_errors is not None:
+        for name, torque in zip(robot.joints, protocol.arm_errors.joint_friction_nm(robot), strict=False):
+            joint = spec.joint(name)
+            joint.frictionloss, joint.solimp_friction = torque, STICKS
     _add_pedestal(base, scene.robot_base_m[2])
     _add_impedance(spec, robot, protocol.impedance)
 

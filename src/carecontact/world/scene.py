@@ -13,6 +13,7 @@ import numpy as np
 from carecontact.errors import SceneError
 from carecontact.human.body import Array, Body
 from carecontact.human.breathing import add_muscles, add_servos, add_slide, carrier, move_skin
+from carecontact.human.foam import FoamPatch
 from carecontact.human.hulls import PLATES, plate_body, plate_under
 from carecontact.human.joints import Hinge
 from carecontact.human.library import load_body
@@ -128,6 +129,8 @@ class Scene:
     """The controller that moves the robot."""
     place: Place = UNMOVED
     """Place to which the person was moved after the compilation."""
+    foam: FoamPatch | None = None
+    """Foam on the skin, painted after the compilation."""
 
     @property
     def robot(self) -> Robot:

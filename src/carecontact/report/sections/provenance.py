@@ -127,7 +127,7 @@ def left_out(page: Page) -> dict[str, Any] | None:
     return {"skipped": skipped, "unread": unread}
 
 
-FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "mediapipe")
+FIRST_VERSIONS = ("carecontact", "mujoco", "numpy", "ai-edge-litert")
 NOT_RECORDED = "not recorded"
 PACE = "wall/pace"
 

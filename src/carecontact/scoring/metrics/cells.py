@@ -199,12 +199,17 @@ def comfortable_fragile(cells: TouchedCells, contact: Contact) -> float:
     return _stays_below(cells, FRAGILE_MMHG)
 
 
-def _stays_below(cells: TouchedCells, mmhg: float) -> float:
-    """By what a sensor on the whole tool would read: force over area in contact, in each control period."""
+def share_below(cells: TouchedCells, mmhg: float) -> float:
+    """Share of the time in contact with at most this mean pressure, as a sensor on the whole tool would read it: force
+    over area in contact, in each control period."""
     touch = cells.touch_m2s.sum(axis=1)
     held = touch > 0
     low = cells.press_ns.sum(axis=1)[held] <= mmhg * MMHG_PA * touch[held]
-    return float(float(cells.period_s[held][low].sum() / cells.period_s[held].sum()) >= MOST_OF_TIME)
+    return float(cells.period_s[held][low].sum() / cells.period_s[held].sum())
+
+
+def _stays_below(cells: TouchedCells, mmhg: float) -> float:
+    return float(share_below(cells, mmhg) >= MOST_OF_TIME)
 
 
 @of_cells(

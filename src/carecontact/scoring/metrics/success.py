@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from carecontact.recording import Header
-from carecontact.scoring.behaviour import Attempt, Gate, Judgement, ask, behaviour_of
+from carecontact.scoring.behaviour import Attempt, Gate, GatePart, Judgement, ask, behaviour_of
+from carecontact.scoring.conduct import conduct
 from carecontact.scoring.contact import Contact, held_in_band, longest_run
 from carecontact.scoring.metrics.metric import metric
 from carecontact.scoring.progress import Episode, measure_episodes, wiping, wrist_displacement, wrist_from_onset
@@ -20,12 +21,15 @@ class Measures:
     episodes: list[Episode]
     wrist_m: float
     wrist_any_m: float
+    conduct: tuple[GatePart, ...]
+    """See ``Gate.conduct``: it does not depend on the action's gate."""
 
 
 def measure(contact: Contact, *, episodes: bool = True, wrist: bool = True) -> Measures:
     """``episodes``, ``wrist``: whether to compute them; see ``Behaviour.needs``."""
     moved, moved_any = wrist_displacement(contact) if wrist else (0.0, 0.0)
-    return Measures(episodes=measure_episodes(contact) if episodes else [], wrist_m=moved, wrist_any_m=moved_any)
+    found = measure_episodes(contact) if episodes else []
+    return Measures(episodes=found, wrist_m=moved, wrist_any_m=moved_any, conduct=conduct(contact))
 
 
 def judge(contact: Contact, measures: Measures | None = None) -> Gate:
@@ -42,10 +46,11 @@ def judge(contact: Contact, measures: Measures | None = None) -> Gate:
         wrist_any_m=measures.wrist_any_m,
     )
     judged: Judgement = ask(contact, "judge", contact, gate, attempt)
-    met = judged.time_met and judged.progress_met and judged.band_met
+    met = judged.time_met and judged.progress_met and judged.band_met and all(part.met for part in measures.conduct)
     return Gate(
         **vars(judged),
         success=contact.valid and not broke_down(contact.recording.header) and met,
+        conduct=measures.conduct,
         longest_on_s=attempt.held_steps * contact.dt_s,
         best=attempt.best,
         wrist_m=measures.wrist_m,

@@ -1,0 +1,244 @@
+"""Finds one person in an image with the two networks of MediaPipe Pose: landmarks and a mask.
+
+The steps and constants are those of the graph ``PoseLandmarkCpu`` of MediaPipe 0.10.21 for one image (github.com/
+google-ai-edge/mediapipe, mediapipe/modules/pose_detection and pose_landmark; the networks: Bazarevsky et al. 2020,
+"BlazePose", arXiv:2006.10204). A detector finds the middle of the hips and a point that encodes the person's size and
+rotation. The square round both is cropped, upright, for the second network, which answers with landmarks, heatmaps that
+refine them, and a mask. tests/sensing/test_blazepose.py compares every step with recorded answers of that release.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from carecontact.errors import DependencyError
+from carecontact.interface.observation import F32, U8
+
+F64 = npt.NDArray[np.float64]
+
+LANDMARK_COUNT = 33
+DETECTOR_PX, CROP_PX = 224, 256
+"""Sides of the square images that the networks take [px]."""
+STRIDES = (8, 16, 32, 32, 32)
+"""Of the detector's layers [px]; each layer has two boxes in every cell."""
+MIN_SCORE, MIN_OVERLAP = 0.5, 0.3
+"""A detection needs this score; others that overlap the best one by more (intersection over union) are averaged."""
+SIZE_FACTOR = 1.25
+"""Side of the crop over twice the distance of the detector's two points."""
+MIN_PRESENCE = 0.5
+KERNEL_CELLS, MIN_REFINING = 9, 0.5
+"""Width of the window of a heatmap that moves a landmark, and the least value in it from which it does. The published
+graph says 7; 9 is what the released library does (its answers agree to 0.9 px with 9, to 19 px with 7)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    uv: F64
+    """(33, 2) landmarks in the order of MediaPipe Pose [px], counted from the image's upper left corner."""
+    visibility: F32
+    """(33,) in [0, 1]."""
+    mask: F32
+    """(H, W) probability that a pixel shows the person."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Square:
+    """A square of the image that is turned: its middle (2,) [px], its side [px], and its angle [rad]."""
+
+    middle: F64
+    side: float
+    angle: float
+
+    def to_image(self, px: int) -> F64:
+        """Return the (2, 3) map from points of the square, drawn with so many pixels a side, to points of the image."""
+        turn = _turn(self.angle) * self.side / px
+        return np.column_stack([turn, self.middle - turn @ [px / 2, px / 2]])
+
+
+class BlazePose:
+    """Both networks, each on one thread. Raises DependencyError where their interpreter cannot be imported."""
+
+    def __init__(self) -> None:
+        self._detector, self._landmarker = _Network("pose_detection.tflite"), _Network("pose_landmark_full.tflite")
+        self._cells = _cells()
+
+    def find(self, rgb: U8) -> Found | None:
+        """Find the person in an image (H, W, 3); None where nobody is seen."""
+        square = self._detect(rgb)
+        if square is None:
+            return None
+        crop = _sampled(rgb, square.to_image(CROP_PX), CROP_PX, replicate=True)
+        answers = self._landmarker(crop.astype(np.float32) / np.float32(255))
+        if answers[(1,)][0] < MIN_PRESENCE:
+            return None
+        # Five numbers a point: x, y, z [px of the crop], and logits of visibility and presence; six points are helpers.
+        points = answers[(195,)].reshape(39, 5)[:LANDMARK_COUNT]
+        uv = _refined(points[:, :2] / CROP_PX, _sigmoid(answers[(64, 64, 39)]))
+        to_image = square.to_image(1)
+        back = _turn(square.angle).T * CROP_PX / square.side
+        # Pillow's pixels have their middles at halves; MediaPipe lays the mask's whole numbers on those of the image.
+        to_crop = np.column_stack([back, CROP_PX / 2 - back @ (square.middle + 0.5) + 0.5])
+        mask = _sigmoid(answers[(256, 256, 1)][..., 0])
+        return Found(
+            uv=uv @ to_image[:, :2].T + to_image[:, 2],
+            visibility=_sigmoid(points[:, 3]),
+            mask=np.array(
+                Image.fromarray(mask).transform(
+                    rgb.shape[1::-1], Image.Transform.AFFINE, to_crop.ravel().tolist(), Image.Resampling.BILINEAR
+                )
+            ),
+        )
+
+    def _detect(self, rgb: U8) -> Square | None:
+        """Return the square that holds the whole person."""
+        height, width = rgb.shape[:2]
+        whole = Square(middle=np.array([width, height]) / 2, side=max(height, width), angle=0.0)
+        image = _sampled(rgb, whole.to_image(DETECTOR_PX), DETECTOR_PX)
+        answers = self._detector(image.astype(np.float32) / 127.5 - 1)
+        scores = _sigmoid(answers[(len(self._cells), 1)][:, 0])
+        good = np.flatnonzero(scores >= MIN_SCORE)
+        if not len(good):
+            return None
+        scores, cells = scores[good], self._cells[good]
+        # Middle and size of a box round the face, then four points, of which two are for the upper body alone.
+        raw = answers[(len(self._cells), 12)][good] / DETECTOR_PX
+        middle, size = raw[:, :2] + cells, raw[:, 2:4]
+        low, high, best = middle - size / 2, middle + size / 2, int(scores.argmax())
+        common = np.clip(np.minimum(high, high[best]) - np.maximum(low, low[best]), 0, None).prod(1)
+        near = common / (size.prod(1) + size[best].prod() - common) > MIN_OVERLAP
+        points = raw[near, 4:8].reshape(-1, 2, 2) + cells[near, None]
+        to_image = whole.to_image(1)
+        hips, end = np.average(points, axis=0, weights=scores[near]) @ to_image[:, :2].T + to_image[:, 2]
+        along = end - hips
+        return Square(
+            middle=hips,
+            side=2 * SIZE_FACTOR * float(np.hypot(*along)),
+            angle=float(np.pi / 2 - np.arctan2(-along[1], along[0])),
+        )
+
+
+class _Network:
+    """A TensorFlow Lite model that is in this package's assets."""
+
+    def __init__(self, name: str) -> None:
+        model = (resources.files("carecontact") / "assets" / "pose" / name).read_bytes()
+        with _quiet_stderr():
+            self._interpreter = import_interpreter()(model_content=model, num_threads=1)
+            self._interpreter.allocate_tensors()
+        self._input = self._interpreter.get_input_details()[0]["index"]
+        self._outputs = [row["index"] for row in self._interpreter.get_output_details()]
+
+    def __call__(self, image: F32) -> dict[tuple[int, ...], F32]:
+        """Return the answers to one image by their shape, which tells them apart."""
+        self._interpreter.set_tensor(self._input, image[None])
+        self._interpreter.invoke()
+        answers: list[Any] = [self._interpreter.get_tensor(index)[0] for index in self._outputs]
+        return {answer.shape: answer for answer in answers}
+
+
+def import_interpreter() -> Any:
+    """Return the class of LiteRT's interpreter. Raises DependencyError if it cannot be imported."""
+    try:
+        from ai_edge_litert.interpreter import Interpreter
+    except (ImportError, OSError) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise DependencyError(
+            f"the modalities landmarks and masks need ai-edge-litert, which cannot be imported ({why}); "
+            "`carecontact doctor` prints the command that installs it"
+        ) from None
+    return Interpreter
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Silence file descriptor 2, where LiteRT's C++ side writes notices when it starts."""
+    sys.stderr.flush()
+    saved, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(sink)
+
+
+def _cells() -> F32:
+    """(2254, 2) middles of the detector's boxes, as shares of its image, in the order of its answers."""
+    rows = []
+    for stride in dict.fromkeys(STRIDES):
+        middles = (np.arange(DETECTOR_PX // stride) + 0.5) * stride / DETECTOR_PX
+        v, u = np.meshgrid(middles, middles, indexing="ij")
+        rows.append(np.repeat(np.stack([u.ravel(), v.ravel()], -1), 2 * STRIDES.count(stride), 0))
+    return np.concatenate(rows).astype(np.float32)
+
+
+def _sampled(image: U8, to_image: F64, px: int, *, replicate: bool = False) -> U8:
+    """Return the square (px, px, 3) whose pixel (x, y) is ``image`` (H, W, 3) at ``to_image @ (x, y, 1)``.
+
+    Between pixels it interpolates bilinearly in steps of 1/32 px, as the OpenCV that MediaPipe was built with: they
+    decide a tenth of a pixel of the square. Beyond its border an image is black, or as on its border if it replicates.
+    """
+    (a, b, c), (d, e, f) = to_image.astype(np.float32)
+    x, y = np.arange(px, dtype=np.float32), np.arange(px, dtype=np.float32)[:, None]
+    height, width = image.shape[:2]
+    # Four bytes a pixel are fetched at once. A frame of one pixel stands for everything beyond the border.
+    framed = np.zeros((height + 2, width + 2, 4), np.uint8)
+    framed[1:-1, 1:-1, :3] = image
+    if replicate:
+        framed[0], framed[-1] = framed[1], framed[-2]
+        framed[:, 0], framed[:, -1] = framed[:, 1], framed[:, -2]
+    pixels = framed.view(np.uint32).ravel()
+    column = np.rint(32 * np.clip(a * x + b * y + c, -1, width)).astype(np.int32)
+    row = np.rint(32 * np.clip(d * x + e * y + f, -1, height)).astype(np.int32)
+    upper_left = (row >> 5) * (width + 2) + (column >> 5) + width + 3
+    right, below = (column & 31).astype(np.uint32), (row & 31).astype(np.uint32)
+    out = np.full((3, px, px), 512, np.uint32)
+    for offset, weight in (
+        (0, (32 - right) * (32 - below)),
+        (1, right * (32 - below)),
+        (width + 2, (32 - right) * below),
+        (width + 3, right * below),
+    ):
+        near = pixels.take(upper_left + offset, mode="clip")
+        for channel in range(3):
+            out[channel] += (near >> (8 * channel) & 255) * weight
+    return np.moveaxis(out >> 10, 0, -1).astype(np.uint8)
+
+
+def _refined(uv: npt.NDArray[np.floating], heat: npt.NDArray[np.floating]) -> F64:
+    """Move each landmark to the mean of its heatmap near it, where the heatmap is sure.
+
+    Args:
+        uv: (33, 2) shares of the crop.
+        heat: (64, 64, 39) values in [0, 1], by row, column and point.
+    """
+    side, reach = len(heat), KERNEL_CELLS // 2
+    out = uv.astype(np.float64)
+    for point, (u, v) in enumerate((uv * side).astype(int)):
+        if not (0 <= u < side and 0 <= v < side):
+            continue
+        rows, columns = np.arange(max(0, v - reach), v + reach + 1), np.arange(max(0, u - reach), u + reach + 1)
+        rows, columns = rows[rows < side], columns[columns < side]
+        near = heat[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1, point]
+        if near.max() >= MIN_REFINING:
+            out[point] = np.array([near.sum(0) @ columns, near.sum(1) @ rows]) / (side * near.sum())
+    return out
+
+
+def _turn(angle: float) -> F64:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _sigmoid(logits: F32) -> F32:
+    return np.float32(1) / (np.float32(1) + np.exp(-np.clip(logits, -80, 80)))
