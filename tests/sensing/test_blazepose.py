@@ -62,10 +62,9 @@ def test_every_cell_has_two_boxes_a_layer() -> None:
 
 
 def test_a_sure_heatmap_moves_its_landmark_and_an_unsure_one_does_not() -> None:
-    heat = np.zeros((64, 64, 39), np.float32)
-    heat[20, 31, 0], heat[22, 31, 0] = 0.9, 0.3
-    heat[20, 31, 1] = 0.4
-    heat[20, 60, 2] = 0.9
+    heat = np.full((64, 64, 39), -80.0, np.float32)
+    for value, place in ((0.9, (20, 31, 0)), (0.3, (22, 31, 0)), (0.4, (20, 31, 1)), (0.9, (20, 60, 2))):
+        heat[place] = np.log(value / (1 - value))
     uv = np.full((33, 2), (30 / 64, 19 / 64), np.float32)
     uv[3] = (1.2, 0.5)
     moved = blazepose._refined(uv, heat) * 64
@@ -77,7 +76,7 @@ def test_a_sure_heatmap_moves_its_landmark_and_an_unsure_one_does_not() -> None:
 def test_a_square_of_the_image_is_drawn_where_it_lies() -> None:
     image = np.arange(40 * 60 * 3, dtype=np.uint16).reshape(40, 60, 3).astype(np.uint8)
     square = blazepose.Square(middle=np.array([34.0, 15.0]), side=10.0, angle=np.pi / 2)
-    drawn = blazepose._sampled(image, square.to_image(10), 10)
+    drawn = blazepose._sampled(framed(image), square.to_image(10), 10)
     np.testing.assert_array_equal(drawn, np.rot90(image[10:20, 30:40]))
 
 
@@ -85,5 +84,9 @@ def test_between_pixels_and_beyond_the_border_a_square_is_interpolated() -> None
     image = np.full((4, 4, 3), 100, np.uint8)
     image[:, 2:] = 200
     moved = np.array([[1, 0, 0.5], [0, 1, 0.25]])
-    assert blazepose._sampled(image, moved, 5)[0, :, 0].tolist() == [100, 150, 200, 100, 0]
-    assert blazepose._sampled(image, moved, 5, replicate=True)[4, :, 0].tolist() == [100, 150, 200, 200, 200]
+    assert blazepose._sampled(framed(image), moved, 5)[0, :, 0].tolist() == [100, 150, 200, 100, 0]
+    assert blazepose._sampled(framed(image, "edge"), moved, 5)[4, :, 0].tolist() == [100, 150, 200, 200, 200]
+
+
+def framed(image: np.ndarray, mode: str = "constant") -> np.ndarray:
+    return np.pad(np.pad(image, ((1, 1), (1, 1), (0, 0)), mode), ((0, 0), (0, 0), (0, 1)))  # pyright: ignore[reportCallIssue, reportArgumentType]

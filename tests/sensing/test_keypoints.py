@@ -16,7 +16,7 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import PANDA
 from carecontact.protocol.load import load_protocol
 from carecontact.recording.notes import ARRAYS, JOINTS
-from carecontact.sensing.blazepose import LANDMARK_COUNT, Found
+from carecontact.sensing.blazepose import LANDMARK_COUNT
 from carecontact.sensing.builder import ObservationBuilder
 from carecontact.sensing.keypoints import PoseEstimator, no_person, unrotate
 from carecontact.sim.rendering import SceneRenderer
@@ -33,6 +33,13 @@ def test_unrotate_finds_the_marked_pixel(turns: int) -> None:
     np.testing.assert_array_equal(unrotate(np.array([[u, v]], float), turns, 5, 9), [[6, 1]])
 
 
+class Bright:
+    """What OnePixelPose finds, with the fields of ``Found`` that are read."""
+
+    def __init__(self, uv: np.ndarray, mask: np.ndarray) -> None:
+        self.uv, self.mask, self.visibility = uv, mask, np.full(LANDMARK_COUNT, 0.9, np.float32)
+
+
 class OnePixelPose:
     """Stands for BlazePose: puts every landmark on the brightest pixel and calls bright pixels a person."""
 
@@ -40,7 +47,7 @@ class OnePixelPose:
         self.blind_below_px = blind_below_px
         self.sizes: list[tuple[int, int]] = []
 
-    def find(self, rgb: np.ndarray) -> Found | None:
+    def find(self, rgb: np.ndarray) -> Bright | None:
         height, width = rgb.shape[:2]
         self.sizes.append((height, width))
         if rgb.max() == 0 or min(height, width) < self.blind_below_px:
@@ -48,7 +55,7 @@ class OnePixelPose:
         spots = np.argwhere(rgb[..., 0] > 100)
         uv = spots[np.arange(LANDMARK_COUNT) % len(spots), ::-1] + 0.5
         mask = (rgb[..., 0] > 100).astype(np.float32)
-        return Found(uv=uv, visibility=np.full(LANDMARK_COUNT, 0.9, np.float32), mask=mask)
+        return Bright(uv, mask)
 
 
 def estimator(pose: OnePixelPose) -> PoseEstimator:

@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from typing import Any
 
@@ -42,16 +43,6 @@ graph says 7; 9 is what the released library does (its answers agree to 0.9 px w
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
-    uv: F64
-    """(33, 2) landmarks in the order of MediaPipe Pose [px], counted from the image's upper left corner."""
-    visibility: F32
-    """(33,) in [0, 1]."""
-    mask: F32
-    """(H, W) probability that a pixel shows the person."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Square:
     """A square of the image that is turned: its middle (2,) [px], its side [px], and its angle [rad]."""
 
@@ -65,6 +56,28 @@ class Square:
         return np.column_stack([turn, self.middle - turn @ [px / 2, px / 2]])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    uv: F64
+    """(33, 2) landmarks in the order of MediaPipe Pose [px], counted from the image's upper left corner."""
+    visibility: F32
+    """(33,) in [0, 1]."""
+    square: Square
+    shape: tuple[int, int]
+    """Height and width of the image."""
+    mask_logits: F32
+    """(CROP_PX, CROP_PX) of the square."""
+
+    @cached_property
+    def mask(self) -> F32:
+        """(H, W) probability that a pixel shows the person."""
+        back = _turn(self.square.angle).T * CROP_PX / self.square.side
+        # Pillow's pixels have their middles at halves; MediaPipe lays the mask's whole numbers on those of the image.
+        to_crop = np.column_stack([back, CROP_PX / 2 - back @ (self.square.middle + 0.5) + 0.5]).ravel().tolist()
+        crop, (height, width) = Image.fromarray(_sigmoid(self.mask_logits)), self.shape
+        return np.array(crop.transform((width, height), Image.Transform.AFFINE, to_crop, Image.Resampling.BILINEAR))
+
+
 class BlazePose:
     """Both networks, each on one thread. Raises DependencyError where their interpreter cannot be imported."""
 
@@ -74,36 +87,35 @@ class BlazePose:
 
     def find(self, rgb: U8) -> Found | None:
         """Find the person in an image (H, W, 3); None where nobody is seen."""
-        square = self._detect(rgb)
+        framed = np.zeros((rgb.shape[0] + 2, rgb.shape[1] + 2, 4), np.uint8)
+        framed[1:-1, 1:-1, :3] = rgb
+        square = self._detect(framed)
         if square is None:
             return None
-        crop = _sampled(rgb, square.to_image(CROP_PX), CROP_PX, replicate=True)
+        # Where the square leaves the image, the detector saw black, and the crop continues the image's border.
+        framed[0], framed[-1] = framed[1], framed[-2]
+        framed[:, 0], framed[:, -1] = framed[:, 1], framed[:, -2]
+        crop = _sampled(framed, square.to_image(CROP_PX), CROP_PX)
         answers = self._landmarker(crop.astype(np.float32) / np.float32(255))
         if answers[(1,)][0] < MIN_PRESENCE:
             return None
         # Five numbers a point: x, y, z [px of the crop], and logits of visibility and presence; six points are helpers.
         points = answers[(195,)].reshape(39, 5)[:LANDMARK_COUNT]
-        uv = _refined(points[:, :2] / CROP_PX, _sigmoid(answers[(64, 64, 39)]))
+        uv = _refined(points[:, :2] / CROP_PX, answers[(64, 64, 39)])
         to_image = square.to_image(1)
-        back = _turn(square.angle).T * CROP_PX / square.side
-        # Pillow's pixels have their middles at halves; MediaPipe lays the mask's whole numbers on those of the image.
-        to_crop = np.column_stack([back, CROP_PX / 2 - back @ (square.middle + 0.5) + 0.5])
-        mask = _sigmoid(answers[(256, 256, 1)][..., 0])
         return Found(
             uv=uv @ to_image[:, :2].T + to_image[:, 2],
             visibility=_sigmoid(points[:, 3]),
-            mask=np.array(
-                Image.fromarray(mask).transform(
-                    rgb.shape[1::-1], Image.Transform.AFFINE, to_crop.ravel().tolist(), Image.Resampling.BILINEAR
-                )
-            ),
+            square=square,
+            shape=(rgb.shape[0], rgb.shape[1]),
+            mask_logits=answers[(256, 256, 1)][..., 0],
         )
 
-    def _detect(self, rgb: U8) -> Square | None:
-        """Return the square that holds the whole person."""
-        height, width = rgb.shape[:2]
+    def _detect(self, framed: U8) -> Square | None:
+        """Return the square that holds the whole person in an image that has a black frame."""
+        height, width = framed.shape[0] - 2, framed.shape[1] - 2
         whole = Square(middle=np.array([width, height]) / 2, side=max(height, width), angle=0.0)
-        image = _sampled(rgb, whole.to_image(DETECTOR_PX), DETECTOR_PX)
+        image = _sampled(framed, whole.to_image(DETECTOR_PX), DETECTOR_PX)
         answers = self._detector(image.astype(np.float32) / 127.5 - 1)
         scores = _sigmoid(answers[(len(self._cells), 1)][:, 0])
         good = np.flatnonzero(scores >= MIN_SCORE)
@@ -183,34 +195,28 @@ def _cells() -> F32:
     return np.concatenate(rows).astype(np.float32)
 
 
-def _sampled(image: U8, to_image: F64, px: int, *, replicate: bool = False) -> U8:
-    """Return the square (px, px, 3) whose pixel (x, y) is ``image`` (H, W, 3) at ``to_image @ (x, y, 1)``.
+def _sampled(framed: U8, to_image: F64, px: int) -> U8:
+    """Return the square (px, px, 3) whose pixel (x, y) is an image at ``to_image @ (x, y, 1)``.
 
     Between pixels it interpolates bilinearly in steps of 1/32 px, as the OpenCV that MediaPipe was built with: they
-    decide a tenth of a pixel of the square. Beyond its border an image is black, or as on its border if it replicates.
+    decide a tenth of a pixel of the square.
+
+    Args:
+        framed: (H + 2, W + 2, 4) the image in a frame of one pixel, which stands for everything beyond its border.
     """
     (a, b, c), (d, e, f) = to_image.astype(np.float32)
     x, y = np.arange(px, dtype=np.float32), np.arange(px, dtype=np.float32)[:, None]
-    height, width = image.shape[:2]
-    # Four bytes a pixel are fetched at once. A frame of one pixel stands for everything beyond the border.
-    framed = np.zeros((height + 2, width + 2, 4), np.uint8)
-    framed[1:-1, 1:-1, :3] = image
-    if replicate:
-        framed[0], framed[-1] = framed[1], framed[-2]
-        framed[:, 0], framed[:, -1] = framed[:, 1], framed[:, -2]
-    pixels = framed.view(np.uint32).ravel()
+    height, width = framed.shape[0] - 2, framed.shape[1] - 2
     column = np.rint(32 * np.clip(a * x + b * y + c, -1, width)).astype(np.int32)
     row = np.rint(32 * np.clip(d * x + e * y + f, -1, height)).astype(np.int32)
-    upper_left = (row >> 5) * (width + 2) + (column >> 5) + width + 3
+    upper_left = ((row >> 5) * (width + 2) + (column >> 5) + width + 3).astype(np.intp)
     right, below = (column & 31).astype(np.uint32), (row & 31).astype(np.uint32)
-    out = np.full((3, px, px), 512, np.uint32)
-    for offset, weight in (
-        (0, (32 - right) * (32 - below)),
-        (1, right * (32 - below)),
-        (width + 2, (32 - right) * below),
-        (width + 3, right * below),
-    ):
-        near = pixels.take(upper_left + offset, mode="clip")
+    both = right * below
+    weights = (1024 - 32 * (right + below) + both, 32 * right - both, 32 * below - both, both)
+    # Four bytes a pixel are fetched at once.
+    pixels, out = framed.view(np.uint32).ravel(), np.full((3, px, px), 512, np.uint32)
+    for offset, weight in zip((0, 1, width + 2, width + 3), weights, strict=True):
+        near = pixels[offset:].take(upper_left, mode="clip")
         for channel in range(3):
             out[channel] += (near >> (8 * channel) & 255) * weight
     return np.moveaxis(out >> 10, 0, -1).astype(np.uint8)
@@ -221,7 +227,7 @@ def _refined(uv: npt.NDArray[np.floating], heat: npt.NDArray[np.floating]) -> F6
 
     Args:
         uv: (33, 2) shares of the crop.
-        heat: (64, 64, 39) values in [0, 1], by row, column and point.
+        heat: (64, 64, 39) logits, by row, column and point.
     """
     side, reach = len(heat), KERNEL_CELLS // 2
     out = uv.astype(np.float64)
@@ -230,7 +236,7 @@ def _refined(uv: npt.NDArray[np.floating], heat: npt.NDArray[np.floating]) -> F6
             continue
         rows, columns = np.arange(max(0, v - reach), v + reach + 1), np.arange(max(0, u - reach), u + reach + 1)
         rows, columns = rows[rows < side], columns[columns < side]
-        near = heat[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1, point]
+        near = _sigmoid(heat[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1, point])
         if near.max() >= MIN_REFINING:
             out[point] = np.array([near.sum(0) @ columns, near.sum(1) @ rows]) / (side * near.sum())
     return out

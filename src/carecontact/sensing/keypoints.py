@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.interface.observation import F32, U8
-from carecontact.sensing.blazepose import LANDMARK_COUNT, BlazePose
+from carecontact.sensing.blazepose import LANDMARK_COUNT, BlazePose, Found
 
 ROTATIONS = (0, 1, 3)
 """Quarter turns that are tried: the detector was trained on upright people, a patient lies at any angle to a camera."""
@@ -57,34 +57,39 @@ class PoseEstimator:
 
     def estimate(self, rgb: U8) -> KeyPoints:
         height, width = rgb.shape[:2]
-        coarse = self._vote(rgb)
-        if coarse is None:
+        coarse = self._views(rgb)
+        if not coarse:
             return no_person(height, width)
-        left, top, right, bottom = _crop_box(coarse.landmarks[:, :2], height, width)
-        fine = self._vote(rgb[top:bottom, left:right])
-        if fine is None:
-            return coarse
-        landmarks = fine.landmarks.copy()
+        landmarks = _median([view.landmarks for view in coarse])
+        left, top, right, bottom = _crop_box(landmarks[:, :2], height, width)
+        fine = self._views(rgb[top:bottom, left:right])
+        if not fine:
+            return KeyPoints(landmarks=landmarks, person=_median([view.person() for view in coarse]))
+        landmarks = _median([view.landmarks for view in fine])
         landmarks[:, :2] += np.array([left, top], np.float32)
         person = np.zeros((height, width), np.float32)
-        person[top:bottom, left:right] = fine.person
+        person[top:bottom, left:right] = _median([view.person() for view in fine])
         return KeyPoints(landmarks=landmarks, person=person)
 
-    def _vote(self, rgb: U8) -> KeyPoints | None:
-        found = [result for turns in ROTATIONS if (result := self._single(rgb, turns)) is not None]
-        if not found:
-            return None
-        return KeyPoints(landmarks=_median([f.landmarks for f in found]), person=_median([f.person for f in found]))
-
-    def _single(self, rgb: U8, turns: int) -> KeyPoints | None:
+    def _views(self, rgb: U8) -> list[_View]:
+        """Return what is found in the image in each rotation that shows a person."""
         self._pose = self._pose or BlazePose()
-        found = self._pose.find(np.ascontiguousarray(np.rot90(rgb, turns)))
-        if found is None:
-            return None
+        found = ((turns, self._pose.find(np.rot90(rgb, turns))) for turns in ROTATIONS)
+        return [_View(view, turns, *rgb.shape[:2]) for turns, view in found if view is not None]
+
+
+class _View:
+    """What was found in an image (height, width) that was turned, in the image's own pixels."""
+
+    def __init__(self, found: Found, turns: int, height: int, width: int) -> None:
+        self._found, self._turns = found, turns
         # BlazePose counts from the image's edge, we count from the centre of the first pixel.
-        uv = unrotate(found.uv - 0.5, turns, rgb.shape[0], rgb.shape[1])
-        landmarks = np.column_stack([uv, found.visibility]).astype(np.float32)
-        return KeyPoints(landmarks=landmarks, person=np.rot90(found.mask, -turns).astype(np.float32))
+        uv = unrotate(found.uv - 0.5, turns, height, width)
+        self.landmarks = np.column_stack([uv, found.visibility]).astype(np.float32)
+
+    def person(self) -> F32:
+        """(height, width), computed at each call: of most views, no mask is needed."""
+        return np.rot90(self._found.mask, -self._turns)
 
 
 def _median(views: Sequence[F32]) -> F32:
