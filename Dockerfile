@@ -10,7 +10,7 @@ ENV UV_COMPILE_BYTECODE=1 UV_LINK_MODE=copy UV_PROJECT_ENVIRONMENT=/opt/carecont
 RUN pip install --no-cache-dir uv==0.13.8
 WORKDIR /src
 COPY . .
-RUN uv sync --frozen --no-dev --no-default-groups --extra tables --no-editable
+RUN uv sync --frozen --no-dev --no-default-groups --extra tables --extra figures --no-editable
 
 FROM python:3.11-slim-bookworm
 

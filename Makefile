@@ -39,7 +39,7 @@ bench: env ## measure the speed of physics, trials and command line, as JSON
 
 wheels: env ## build the sdist and the wheels of every platform into dist, and try them in new environments
 	@.venv-uv/bin/uv run --quiet --isolated --no-project --python $(BIN)/python --with lief==1.0.0 \
-		--with mujoco-core==4.0.0 --with twine python tools/wheels.py .venv-uv/bin/uv
+		--with mujoco-core==4.0.0 --with twine==7.0.0 python tools/wheels.py .venv-uv/bin/uv
 
 docs: env ## build the website of the documentation into build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build

@@ -91,7 +91,11 @@ def try_out(uv: str, python: str, installer: str, file: Path, folder: Path, *, t
           f"{sizes.total() / 1e6:.0f} MB with bytecode ({parts})", flush=True)  # fmt: skip
     call(inside / "carecontact", "doctor")
     run = call(inside / "carecontact", "run", "--policy", "state-machine", "--tasks", tasks, "--seeds", "0")
-    print(next(line for line in run.splitlines() if "passes" in line), flush=True)
+    verdict = next(line for line in run.splitlines() if "passes" in line)
+    passed, planned = re.search(r"passes (\d+) of (\d+)", verdict).groups()
+    if passed != planned:
+        raise SystemExit(f"{file.name} in {python}: {verdict}")
+    print(verdict, flush=True)
 
 
 def sizes_of(packages: Path) -> Counter[str]:

@@ -33,7 +33,7 @@ def decoded(data: bytes) -> Picture:
     try:
         with Image.open(BytesIO(data)) as picture:
             return np.array(picture.convert("RGB"))
-    except (SyntaxError, ValueError) as error:
+    except (SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise OSError(str(error)) from None
 
 

@@ -413,6 +413,6 @@ def test_a_page_of_looks_on_request_counts_and_shows_the_views_that_were_taken()
     assert sent_views(recording)["lost"] == 0
     looks, left_out = looks_of(recording, [])
     assert [[picture.name for picture in look.pictures] for look in looks] == [
-        ["overhead, rgb", "wrist, rgb"], [], ["overhead, rgb"],
+        ["overhead, rgb", "wrist, rgb"], ["overhead, rgb"],
     ]  # fmt: skip
     assert left_out == 0

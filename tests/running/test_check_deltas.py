@@ -137,7 +137,7 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
     ),
     "pictures not mirrored": (
         lambda: Looking(driver=Libero(), knows="upright"), LIBERO, 0, "warning  orientation",
-        "With pictures upright or upside-down it does",
+        "as with pictures upright or upside-down (1.00)",
     ),
     "pictures mirrored of Bridge": (
         lambda: Looking(driver=Bridge(), knows="turned"), BRIDGE, 0, "warning  orientation",
@@ -186,6 +186,12 @@ def test_a_mistake_is_named(checked: Checked, name: str) -> None:
     if status == 0:
         others = [line for line in out.splitlines() if line.startswith("warning") and not line.startswith(begins)]
         assert not [line for line in others if line.split()[1] != "deltas"], out
+
+
+def test_a_server_that_uses_no_picture_says_nothing_of_their_orientation(checked: Checked) -> None:
+    _, out = checked(OnOpenpi(driver=Libero()), LIBERO)
+    assert "ok       orientation" not in out
+    assert "leads the same way however the pictures are turned" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(

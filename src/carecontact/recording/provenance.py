@@ -97,7 +97,7 @@ def arithmetic() -> str:
     from threadpoolctl import threadpool_info  # pyright: ignore[reportMissingTypeStubs]
 
     libraries, none = cast("list[dict[str, str]]", threadpool_info()), dict[str, str]()
-    # scipy and OpenCV bring their own.
+    # scipy brings its own.
     row = min((row for row in libraries if row["user_api"] == "blas"), key=_is_foreign, default=none)
     algebra = " ".join(row[key] for key in ("internal_api", "version", "architecture") if row.get(key))
     library = " ".join(filter(None, platform.libc_ver())) or "an unknown C library"

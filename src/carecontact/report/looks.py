@@ -64,7 +64,11 @@ def looks_of(recording: Recording, notes: Sequence[Note]) -> tuple[list[Look], i
         stored.setdefault(key[0], []).append(key)
     count = max([len(times), *(index + 1 for index in (*noted, *stored))])
     left, out = MOST_PICTURES, list[Look]()
+    rated = bool((recording.header.card or {}).get("camera_hz"))
     for number in range(count):
+        if rated and number < len(times) and number not in stored and number not in noted:
+            # Between two views, this policy received the encoders alone.
+            continue
         frames = stored.get(number, [])[:left]
         left -= len(frames)
         note = noted.get(number)

@@ -41,6 +41,8 @@ FITS, MISFITS = 0.8, 0.5
 """Axes fit if the response points along them by at least the first share, and are wrong below the second."""
 TOWARD = 0.6
 """Cosine of the angle between the way of the answer and the way to the named region above which it leads there."""
+ALIKE = 0.2
+"""Cosines that differ by less do not tell two orientations of pictures apart."""
 NEAREST_M = 0.05
 """Horizontal distance of the region below which no direction is looked at."""
 METRES = 0.06
@@ -234,14 +236,18 @@ class Questions:
             if cosine is None:
                 return
             cosines[combined(name, orientation)] = cosine
-        sent, better = cosines[orientation], [name for name, cosine in cosines.items() if cosine > TOWARD]
-        if sent > TOWARD:
+        sent, best = cosines[orientation], max(cosines, key=lambda name: cosines[name])
+        if max(cosines.values()) - min(cosines.values()) < ALIKE:
+            text = "the answer leads the same way however the pictures are turned: nothing is seen of their orientation"
+            yield CheckFinding("hint", "orientation", text)
+        elif sent > max(TOWARD, cosines[best] - ALIKE):
             yield CheckFinding("ok", "orientation", f"the answer leads to the named region (cosine {sent:.2f})")
-        elif better and sent < 0.5 * TOWARD:
+        elif cosines[best] > TOWARD:
+            alike = [name for name, cosine in cosines.items() if cosine > max(TOWARD, cosines[best] - ALIKE)]
             text = (
-                f"the answer does not lead to the named region (cosine {sent:.2f}). With pictures "
-                f"{' or '.join(better)} it does ({max(cosines.values()):.2f}); they are sent {orientation}. If the "
-                f"policy knows them so, add orientation={better[0]} to the address"
+                f"the answer does not lead to the named region as directly (cosine {sent:.2f}) as with pictures "
+                f"{' or '.join(alike)} ({cosines[best]:.2f}); they are sent {orientation}. If the policy knows them "
+                f"so, add orientation={best} to the address"
             )
             yield CheckFinding("warning", "orientation", text)
         else:

@@ -61,11 +61,7 @@ with mujoco.Renderer(model, 120, 160) as renderer:
     image = renderer.render()
 assert image[60, 80, 0] > 30 + image[0, 0, 0], "the picture does not show the sphere that is in the scene"
 """
-POSE_PROBE = """
-import numpy
-from carecontact.sensing.keypoints import PoseEstimator
-PoseEstimator().estimate(numpy.zeros((480, 640, 3), numpy.uint8))
-"""
+POSE_PROBE = "from carecontact.sensing.blazepose import BlazePose; BlazePose().warm_up()"
 TISSUE_PROBE = "from carecontact.tissue.plugin import load_plugins as load; load()"
 
 
@@ -181,7 +177,7 @@ def check_opengl(*, frame: bool = True) -> Finding:
 def check_pose() -> Finding:
     problem = _probe(POSE_PROBE, environment={})
     if problem is None:
-        return Finding("vision", True, "the pose model ran")
+        return Finding("vision", True, "both networks of the pose model ran")
     pip = f"{sys.executable} -m pip install"
     fix = f"{pip} {PACKAGES['ai-edge-litert']}"
     return Finding("vision", False, f"the pose model does not run: {problem}", fix)
