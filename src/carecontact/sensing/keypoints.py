@@ -88,7 +88,7 @@ class _View:
         self.landmarks = np.column_stack([uv, found.visibility]).astype(np.float32)
 
     def person(self) -> F32:
-        """(height, width), computed at each call: of most views, no mask is needed."""
+        """(height, width) probability that a pixel shows the person. The first pass over an image needs none."""
         return np.rot90(self._found.mask, -self._turns)
 
 
