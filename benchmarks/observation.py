@@ -144,6 +144,7 @@ def main() -> None:
         angles = renderer.proprioception.joint_position(data)
         calls: dict[str, Callable[[], object]] = {
             "rgb": lambda: renderer.rgb(data, "overhead"),
+            "rgb after foam changed": lambda: (renderer.skin_changed(), renderer.rgb(data, "overhead")),
             "depth": lambda: renderer.depth(data, "overhead"),
             "robot_depth": lambda: renderer.robot_depth(angles, "overhead"),
             "truth (scorer)": lambda: renderer.truth(data, "overhead"),

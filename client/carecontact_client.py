@@ -31,7 +31,7 @@ def serve(
     Args:
         make_policy: called once for each trial. Its result has ``card`` (a dict), ``reset(instruction, session)`` and
             ``act(observation)``, and may have ``take_notes()``, which returns a dict that the recording keeps.
-        host: address to listen on; 0.0.0.0 for every address of this host. Whoever reaches the port may use it.
+        host: address to listen on; 0.0.0.0 for every address of this host. Everyone who reaches the port may use it.
         port: 0 for one that is free.
         at_once: trials that run at the same time; further ones wait.
         on_port: called with the port once it listens.

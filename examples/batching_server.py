@@ -3,8 +3,8 @@
     python batching_server.py                                                   # in the policy's environment
     carecontact run --policy ws://127.0.0.1:8765 --jobs 8 --out runs/batched    # eight trials, eight connections
 
-Every trial has a connection of its own, so that `--jobs` is the largest batch. docs/wire.md of carecontact describes
-every message; it needs only websockets, msgpack and numpy.
+Every trial has a connection of its own, so that `--jobs` is the largest batch. docs/your-policy.md of carecontact
+describes every message; it needs only websockets, msgpack and numpy.
 """
 
 import argparse

@@ -21,7 +21,7 @@ FORCE_N, OVER_M = 3.0, 0.03
 FIRM, FREE_ALONG_TOOL = (400.0, 20.0), (400.0, 400.0, 0.0, 20.0, 20.0, 20.0)
 PRESSED = np.array([0.0, 0.0, FORCE_N, 0.0, 0.0, 0.0])
 RESTS, REST_M = 3, 0.0005  # so many ticks in a row with no more travel than this are a rest
-MISSED_M, MOVED_M = 0.05, 0.03  # nobody is so far under the seen skin; a person who moved farther is tried again
+MISSED_M, MOVED_M = 0.05, 0.03  # no person is so far under the seen skin; a person who moved farther is tried again
 
 
 class LookAndPress:

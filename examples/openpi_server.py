@@ -4,7 +4,7 @@
     carecontact check "openpi://127.0.0.1:8000?profile=pi05-droid"      # in the environment of carecontact
 
 As it stands, the answer is a constant, so the check warns that every input is without effect.
-docs/dialects.md of carecontact says what a request holds. openpi's own client can talk to this server, too.
+docs/vla.md of carecontact says what a request holds. openpi's own client can talk to this server, too.
 """
 
 import http

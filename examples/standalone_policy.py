@@ -4,7 +4,7 @@
     carecontact check ws://127.0.0.1:8765                               # in the environment of carecontact
     carecontact run --policy ws://127.0.0.1:8765 --out runs/standalone
 
-docs/wire.md of carecontact describes every message.
+docs/your-policy.md of carecontact describes every message.
 """
 
 import traceback

@@ -1,4 +1,4 @@
-"""docs/architecture.md shows the packages and layers that there are."""
+"""docs/evidence/architecture.md shows the packages and layers that there are."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "carecontact"
-PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PAGE = (ROOT / "docs" / "evidence" / "architecture.md").read_text()
 PACKAGES = sorted(path.parent.relative_to(PACKAGE).as_posix() for path in PACKAGE.glob("*/**/__init__.py"))
 
 

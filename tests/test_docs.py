@@ -1,7 +1,8 @@
-"""Links and commands in README and docs lead somewhere."""
+"""Links, commands, numbers and words of README and docs."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -22,6 +24,7 @@ from carecontact.interface.regions import STANDARD_REGIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.recording.notes import JOINTS
+from carecontact.runs.scoring import read_scores
 from carecontact.sim.opengl import PACKAGES
 from tests.report.browser import Browser, found
 from tests.serving.fakes import Openpi, OpenpiPositions
@@ -37,7 +40,9 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CHANGELOG.md", ROOT / "client/README.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
 def test_links_lead_to_files_and_headings(page: Path) -> None:
     for target in LINK.findall(page.read_text()):
         if "://" in target:
@@ -51,6 +56,155 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 def test_the_readme_links_to_every_page() -> None:
     linked = set(re.findall(r"\((docs/[^)#]+\.md)", (ROOT / "README.md").read_text()))
     assert linked >= {path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md")}
+
+
+def test_the_page_of_evidence_links_to_every_page_beside_it() -> None:
+    linked = set(LINK.findall((ROOT / "docs/evidence/README.md").read_text()))
+    assert linked == {path.name for path in (ROOT / "docs/evidence").glob("*.md")} - {"README.md"}
+
+
+SOURCES = ("src/**/*.py", "src/**/*.toml", "src/**/*.j2", "examples/**/*.*", "client/*.md", "tools/**/*.py", "*.toml")
+
+
+def test_every_page_that_code_and_messages_name_exists() -> None:
+    files = [path for pattern in SOURCES for path in ROOT.glob(pattern)]
+    named = {page for path in files for page in re.findall(r"\bdocs/[a-z/0-9-]+\.md\b", path.read_text())}
+    assert len(named) > 10
+    assert not [page for page in sorted(named) if not (ROOT / page).exists()]
+
+
+# Every command in a block of code is one that the program understands, and every page names one exam.
+
+EXAM = "bathing-wide-v2-draft"
+NOTE = "**The exam is a draft**"
+"""While its id ends in -draft, a single note says what that means."""
+
+
+def page_commands() -> list[tuple[Path, str]]:
+    found: list[tuple[Path, str]] = []
+    for page in PAGES:
+        text = page.read_text()
+        blocks = [*re.findall(r"^```\w*\n(.*?)^```", text, re.M | re.S), *re.findall(r"(?:^    .*\n)+", text, re.M)]
+        lines = "\n".join(textwrap.dedent(block).replace("\\\n", " ") for block in blocks).splitlines()
+        found += [(page, line) for line in lines if line.startswith("carecontact ")]
+    return found
+
+
+def words_of(line: str) -> list[str]:
+    return shlex.split(line.partition(" | ")[0], comments=True)[1:]
+
+
+@pytest.mark.parametrize(
+    ("page", "line"), page_commands(), ids=lambda part: part if isinstance(part, str) else part.stem
+)
+def test_the_program_understands_every_command_of_the_pages(page: Path, line: str) -> None:
+    command = words_of(line)
+    parse(command)
+    if "--protocol" in command or EXAM in command:
+        name = command[command.index("--protocol") + 1] if "--protocol" in command else EXAM
+        level = command[command.index("--level") + 1] if "--level" in command else None
+        load_protocol(name, level=level or ("L0" if name == EXAM else None))
+
+
+def test_the_pages_name_one_exam_and_say_in_one_place_that_it_is_a_draft() -> None:
+    texts = {page: page.read_text() for page in PAGES}
+    assert sum(text.count(NOTE) for text in texts.values()) == EXAM.endswith("-draft")
+    for page, text in texts.items():
+        ids = set(re.findall(rf"{EXAM.removesuffix('-draft')}(?:-draft)?(?![\w-])", text))
+        assert page.parent.name == "results" or ids <= {EXAM}, page
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "docs/number.md"], ids=lambda page: page.stem)
+def test_the_rates_on_l2_are_those_of_the_kept_runs(page: Path) -> None:
+    rows = dict(re.findall(r"^\| `([a-z-]+)`.*\| (\d+ \(\d+ %\)) \|$", page.read_text(), re.M))
+    (folder,) = (ROOT / "docs/results").glob(f"{EXAM}*L2")
+    runs = {policy: read_scores(folder / f"{policy}.json.gz").scores for policy in rows}
+    passed = {policy: sum(score.safety_gated for score in scores) for policy, scores in runs.items()}
+    assert rows == {name: f"{passed[name]} ({100 * passed[name] / len(runs[name]):.0f} %)" for name in runs}
+    blind = {path.name.partition(".")[0] for path in folder.glob("*.gz")} - {"oracle", "state-machine", "voxposer"}
+    best = max(sum(score.safety_gated for score in read_scores(folder / f"{name}.json.gz").scores) for name in blind)
+    assert passed["replay-registered"] == best, "the floor is the best blind baseline"
+
+
+def test_the_sentence_on_results_has_the_rates_of_the_kept_runs() -> None:
+    best: dict[str, list[str]] = {"blind": [], "state-machine": []}
+    for level in ("L1", "L2", "L3"):
+        (folder,) = (ROOT / "docs/results").glob(f"{EXAM}*{level}")
+        runs = {path.name.partition(".")[0]: read_scores(path).scores for path in folder.glob("*.gz")}
+        rates = {name: 100 * sum(s.safety_gated for s in scores) / len(scores) for name, scores in runs.items()}
+        best["state-machine"].append(f"{rates.pop('state-machine'):.0f}")
+        best["blind"].append(f"{max(rate for name, rate in rates.items() if name not in ('oracle', 'voxposer')):.0f}")
+    blind, script = (f"{first}, {second} and {third} %" for first, second, third in best.values())
+    page = " ".join((ROOT / "docs/results/README.md").read_text().split())
+    assert f"passes {blind}, and our script {script}." in page
+
+
+ACTIONS = ("touch", "scrub", "push")
+
+
+def _shown(name: str, value: float) -> str:
+    """A value of a gate as the page writes it: lengths in mm, shares in percent."""
+    if name.endswith("_m"):
+        return f"{1000 * value:g} mm"
+    return f"{100 * value:g} %" if name.endswith("_share") else f"{value:g}"
+
+
+def test_the_gates_of_the_tasks_page_are_those_of_the_exam() -> None:
+    rules = load_protocol(EXAM, level="L2")
+    gates = rules.gates.model_dump()
+    touch, scrub, push = ({name: _shown(name, value) for name, value in gates[action].items()} for action in ACTIONS)
+    page = (ROOT / "docs/tasks.md").read_text()
+    for row in (
+        f"| touch | a held force of {touch['least_n']} to {touch['most_n']} N for {touch['duration_s']} s without",
+        f"| scrub | {scrub['passed_m']} of the region's axis are passed {scrub['passes']} times with at least "
+        f"{scrub['least_n']} N; {scrub['least_n']} to {scrub['most_n']} N during {scrub['band_share']} of the time",
+        f"| push | at least {push['force_n']} N for {push['duration_s']} s without interruption; the wrist moves by "
+        f"{push['least_wrist_m'].partition(' ')[0]} to {push['most_wrist_m']} from",
+    ):
+        assert row in page
+
+
+# Words: as few as the limits of tools/words.py, in sentences that are understood at first reading.
+
+
+BANNED = re.compile(r"\b(told|nobody|whoever|anew)\b", re.IGNORECASE)
+
+
+@pytest.fixture(scope="module")
+def words() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("words", ROOT / "tools" / "words.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("group", ["pages", "evidence", "results"])
+def test_the_documentation_stays_short(words: ModuleType, group: str) -> None:
+    assert sum(words.count(page.read_text()) for page in words.pages(group)) <= words.LIMITS[group]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_sentences_are_short_and_in_the_terms_of_the_field(words: ModuleType, page: Path) -> None:
+    text = page.read_text()
+    assert words.mean_length(text) <= words.MEAN_SENTENCE
+    assert not BANNED.findall(text)
+
+
+def test_docstrings_are_in_the_terms_of_the_field(words: ModuleType) -> None:
+    assert not BANNED.findall(words.docstrings())
+
+
+def test_sentences_are_counted_without_code_and_tables(words: ModuleType) -> None:
+    prose = "# A heading of words\n\nOne two three. Four five six\nseven `eight`.\n\n- One [two three](x.md) four\n"
+    text = f"{prose}\n| a | b c d |\n\n```\nx y z\n```\n"
+    assert [words.count(sentence) for sentence in words.sentences(text)] == [3, 5, 5]
+
+
+def test_the_glossary_has_at_most_thirty_terms() -> None:
+    rows = re.findall(r"^\| (?!term|-)", (ROOT / "docs/glossary.md").read_text(), re.M)
+    assert 10 < len(rows) <= 30
 
 
 def test_the_readme_is_short() -> None:
@@ -93,7 +247,7 @@ class _Loaded(HTMLParser):
 @pytest.mark.slow
 def test_no_page_requests_anything_from_elsewhere(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
-    assert len(pages) > 30
+    assert len(pages) > 25
     for page in pages:
         loaded = _Loaded()
         loaded.feed(page.read_text())
@@ -103,7 +257,7 @@ def test_no_page_requests_anything_from_elsewhere(site: Path) -> None:
 
 @pytest.mark.slow
 def test_every_command_has_its_help(site: Path) -> None:
-    page = (site / "reference/commands.html").read_text()
+    page = (site / "commands.html").read_text()
     for name in COMMANDS:
         assert f'id="{name.replace(" ", "-")}"' in page
         assert f"carecontact {name}" in page
@@ -127,7 +281,7 @@ def test_a_linked_file_of_the_repository_is_there(site: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "page_found"),
-    [("indentation", "scoring.html"), ("--shard", "cluster.html"), ("contact episode", "glossary.html")],
+    [("indentation", "scores.html"), ("--shard", "machines.html"), ("contact window", "glossary.html")],
 )
 def test_the_search_works_on_pages_that_are_opened_from_a_folder(
     site: Path, tmp_path: Path, words: str, page_found: str
@@ -151,7 +305,7 @@ def test_the_search_works_on_pages_that_are_opened_from_a_folder(
     """
     )
     with Browser(program, tmp_path / "profile") as browser:
-        page = browser.open(site / "reference" / "commands.html")
+        page = browser.open(site / "reference" / "python.html")
         answer = page.call("Runtime.evaluate", expression=search, returnByValue=True, awaitPromise=True)
         assert any(page_found in hit for hit in answer["result"]["value"])
         assert not [address for address in page.requests if not address.startswith(("file:", "data:"))]
@@ -163,9 +317,9 @@ def test_the_tasks_page_has_every_task_of_the_paper() -> None:
         assert f"| {task.id} | {task.action} | {task.region.replace('_', ' ')} | {task.prompt} |" in page
 
 
-# The commands of docs/pi05.md, against a stand-in where the page has a machine with a GPU.
+# The commands for pi0.5 in docs/vla.md, against a stand-in where the page has a machine with a GPU.
 
-PAGE = (Path(__file__).parents[1] / "docs" / "pi05.md").read_text(encoding="utf-8").replace("\\\n", " ")
+PAGE = (Path(__file__).parents[1] / "docs" / "vla.md").read_text(encoding="utf-8").replace("\\\n", " ")
 PI05_PAGE_COMMANDS = [
     shlex.split(line)[1:]
     for block in re.findall(r"^```sh\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

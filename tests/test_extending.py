@@ -81,7 +81,7 @@ def test_the_protocol_has_ten_lines_and_everything_else_from_its_base(protocol: 
 
 
 def test_the_page_shows_these_files() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
+    page = (Path(__file__).parents[1] / "docs" / "evidence" / "extending.md").read_text()
     for name in ("outside_hold.py", "outside_right_hand.py", "holding-v1.toml"):
         assert (FOLDER / name).read_text().rstrip() in page, name
 

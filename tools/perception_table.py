@@ -1,6 +1,6 @@
-"""How well perception sees, measured on random scenes against the simulator; the tables of docs/perception.md.
+"""How well perception sees, measured on random scenes against the simulator; the tables of docs/evidence/perception.md.
 
-    python tools/perception_table.py [--seeds 6000-6039] [--docs docs/perception.md]
+    python tools/perception_table.py [--seeds 6000-6039] [--docs docs/evidence/perception.md]
 
 Bodies in turn, comfort angle, skin tone, clothes, hair and light by seed. Each scene is seen three times from
 overhead: robot parked, robot parked with sensor noise, and with the tool 60 mm above each region in turn; and once from

@@ -1,6 +1,6 @@
 """Where should the robot stand? An inverse-kinematics study that chooses the base, its yaw and the parked posture.
 
-    python tools/reachability.py --figure docs/figures/reachability.png [--write src/carecontact/protocols/NAME.toml]
+    python tools/reachability.py --figure reachability.png [--write src/carecontact/protocols/NAME.toml]
     python tools/reachability.py --check    does the protocol's place serve every shipped body?
     python tools/reachability.py --places ALONG_M ACROSS_M YAW_DEG    and the person wherever a seed may lay it?
 

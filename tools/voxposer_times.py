@@ -2,7 +2,7 @@
 
     carecontact run --policy tools.voxposer_times:Settle1 --tasks T1,T4,T6 --out runs/voxposer-settle-1
 
-The release has neither number (docs/voxposer.md). No table counts these as the method.
+The release has neither number (docs/evidence/methods.md). No table counts these as the method.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write the messages of docs/wire.md, byte by byte, from the code that sends and reads them.
+"""Write the messages of docs/evidence/wire-bytes.md, byte by byte, from the code that sends and reads them.
 
 python tools/wire_page.py [--check]
 """
@@ -20,10 +20,10 @@ from carecontact.serving import codec
 from carecontact.serving.codec import CLOSE, act_message, reset_message
 from carecontact.serving.packing import is_array, is_list, is_map, pack, unpack
 
-PAGE = Path(__file__).parents[1] / "docs" / "wire.md"
+PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "wire-bytes.md"
 BLOCK = re.compile(r"<!-- message: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
-WIDTH = 16
-"""Bytes in a line."""
+WIDTH, GROUP = 16, 8
+"""Bytes in a line, and in a group of it."""
 SESSION = Session(
     action_bounds=ActionBounds(
         workspace_low_m=(0.0, -0.6, 0.0),
@@ -92,7 +92,7 @@ def dumped(data: bytes) -> str:
     for start in range(0, len(data), WIDTH):
         piece = data[start : start + WIDTH]
         text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in piece)
-        rows.append(f"{start:04x}  {piece.hex(' '):{3 * WIDTH - 1}}  {text}")
+        rows.append(f"{start:04x}  {piece.hex(' ', -GROUP):{2 * WIDTH + WIDTH // GROUP - 1}}  {text}")
     return "\n".join(rows)
 
 

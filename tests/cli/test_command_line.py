@@ -150,7 +150,7 @@ def test_listed_bodies_say_who_they_are(capsys: pytest.CaptureFixture[str]) -> N
     assert len(rows) == 10
     for message in ("woman", "old", "1.57 m", "50.5 kg", "BMI 20.5", "Apache-2.0"):
         assert message in rows["woman-old-light"]
-    assert "docs/bodies.md" in rows["smplx:FILE.npz?sex=F"]
+    assert "docs/person.md" in rows["smplx:FILE.npz?sex=F"]
 
 
 def test_nothing_is_printed_before_jobs_is_checked(tmp_path: Path) -> None:

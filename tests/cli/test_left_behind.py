@@ -164,7 +164,7 @@ def test_a_command_that_starts_a_policy_itself_leaves_nothing_when_the_watcher_i
     tmp_path: Path, sandbox: bool
 ) -> None:
     if not sandbox:
-        pytest.skip("without namespaces, no one knows these processes then (docs/threat-model.md)")
+        pytest.skip("without namespaces, no one knows these processes then (docs/evidence/threat-model.md)")
     command(tmp_path, WAIT)
     check = subprocess.Popen(
         [sys.executable, "-m", "carecontact", "check", "mine:P", "--policy-write", "."],

@@ -33,6 +33,12 @@ def rotation(pose: np.ndarray) -> Rotation:
     return Rotation.from_quat(pose[3:], scalar_first=True)
 
 
+def in_parts(numbers: np.ndarray, most: np.ndarray) -> list[np.ndarray]:
+    """Equal deltas inside the bounds, which add up to ``numbers``; more than one only where the bounds demand it."""
+    count = int(np.ceil((np.abs(numbers) / most).max()))
+    return [numbers / count] * count
+
+
 @pytest.mark.parametrize("delta", DELTAS)
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_an_axis_moves_the_tool_along_that_axis_of_the_declared_frame_by_the_declared_metres(
@@ -46,8 +52,10 @@ def test_an_axis_moves_the_tool_along_that_axis_of_the_declared_frame_by_the_dec
         numbers *= -1  # The tool's z points down, and below it the person lies.
     with Episode(t1, card=card(delta), prepare=parked_world) as episode:
         before = episode.reset().pose_tcp_in_base
-        episode.step(Action(delta=numbers), observe=False)
-        for _ in range(19):
+        parts = in_parts(numbers, convention.bounds)
+        for part in parts:
+            episode.step(Action(delta=part), observe=False)
+        for _ in range(20 - len(parts)):
             episode.step(Action(), observe=False)
         after = episode.step(Action()).observation
         assert after is not None
@@ -68,8 +76,10 @@ def test_an_axis_turns_the_tool_about_that_axis_of_the_declared_frame(
     numbers[3 + axis] = 0.2 / convention.unit[1]
     with Episode(t1, card=card(delta), prepare=parked_world) as episode:
         before = episode.reset().pose_tcp_in_base
-        episode.step(Action(delta=numbers), observe=False)
-        for _ in range(19):
+        parts = in_parts(numbers, convention.bounds)
+        for part in parts:
+            episode.step(Action(delta=part), observe=False)
+        for _ in range(20 - len(parts)):
             episode.step(Action(), observe=False)
         after = episode.step(Action()).observation
         assert after is not None

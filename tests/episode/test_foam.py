@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ from tests.protocol.foamy import FOAMY, LEVELS, with_foam
 CARD = PolicyCard(name="wipe", modalities=("rgb", "depth"), cameras=("overhead",), control_hz=20.0)
 STILL = with_foam(load_protocol("bathing-wide-v2-draft", level="L0"))
 """One person in one place: what wiping does to foam does not depend on that."""
+GOLDEN = Path(__file__).parents[1] / "data" / "foam_fades.png"
+"""(64, 128) the foam in the overhead picture before and after wiping."""
 NEAR_PX = 30.0
 """Farthest pixel of a patch of 100 mm from its middle in the overhead picture, with a margin."""
 HUE, SATURATION, VALUE = 10, 200, 50
@@ -184,6 +187,16 @@ def test_wiped_foam_fades_for_a_later_look(wiped: Wiped) -> None:
     assert 0.2 < found.until(np.inf).cleaned < 0.9
 
 
+def test_the_picture_of_fading_is_the_golden_one(wiped: Wiped) -> None:
+    """Before and after; to draw it again, save ``shown``. Another renderer shades by a few levels otherwise."""
+    spots = np.argwhere(pixels_of(wiped.colour, wiped.pictures[0]))
+    low = (spots.min(0) + spots.max(0)) // 2 - 32
+    shown = np.hstack([p[low[0] : low[0] + 64, low[1] : low[1] + 64] for p in (wiped.pictures[0], wiped.pictures[-1])])
+    golden = np.asarray(Image.open(GOLDEN))
+    assert shown.shape == golden.shape
+    assert (np.abs(shown.astype(int) - golden).max(axis=2) > 12).mean() < 0.02
+
+
 def test_what_is_left_follows_from_the_recording(wiped: Wiped) -> None:
     found = RecordedWiping.of(wiped.recording)
     assert found is not None
@@ -241,3 +254,19 @@ def test_foam_is_a_colour_and_nothing_else(wiped: Wiped) -> None:
     for mine, look in zip(depth, wiped.looks, strict=False):
         assert mine is not None
         np.testing.assert_array_equal(mine, look.raw.views["overhead"].depth)
+
+
+def test_progress_knows_what_was_cleaned(wiped: Wiped) -> None:
+    """Where nothing is recorded, too."""
+    taken = wiped.recording["actions/pose_tcp_in_base"]
+    with Episode(wiped.spec, card=CARD, prepare=wiped.world, record=False) as episode:
+        episode.privileged = True
+        episode.reset()
+        for pose in taken:
+            if np.isfinite(pose).all():
+                episode.step(Action(pose_tcp_in_base=pose), observe=False)
+        share = episode.progress().share
+    found, gate = RecordedWiping.of(wiped.recording), STILL.gates.foam
+    assert found is not None
+    assert gate is not None
+    assert 0.0 < share <= found.until(np.inf).cleaned / gate.cleaned_share + 1e-9

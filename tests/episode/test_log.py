@@ -23,6 +23,7 @@ from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording
 from carecontact.recording.pictures import MAX_FRAMES
 from carecontact.recording.schema import ARRAYS, SEGMENTS, dimensions
+from carecontact.scoring.online import NEEDED
 from carecontact.sim.simulation import Samples
 
 JOINTS = ["a", "b", "c"]
@@ -343,3 +344,37 @@ def test_the_cells_lie_on_the_region_and_those_under_the_tool_are_pressed(press:
     pose = press["scorer/region_pose_in_world"][-1, press.header.regions.index("forearm")].astype(float)
     tool = matrix_from_quat(pose[3:]).T @ (press["scorer/pose_tcp_in_world"][-1, :3] - pose[:3])
     assert np.linalg.norm(last @ centres / last.sum() - tool) < 0.012
+
+
+def test_what_progress_needs_is_the_same_whenever_it_is_gathered() -> None:
+    """Streams grow from call to call, also those that begin late because only the tip touched at first."""
+    clock = Clock()
+    often, once = (TrialLog(human_joints=3, regions=len(STANDARD_REGIONS), constants={}) for _ in range(2))
+    for number in range(9):
+        if number == 4:
+            beside = np.random.default_rng(0).normal(size=(STEPS, 2, len(SEGMENTS), 3))
+            clock.beside = beside, beside[..., 0]
+        samples = clock.advance()
+        for log in (often, once):
+            log.add_period(samples, {})
+        if number != 2:
+            often.measured(NEEDED)
+    found, whole = often.measured(NEEDED), once.arrays()
+    beside_paths = {"scorer/beside_force_in_world", "scorer/beside_normal_force"}
+    assert found.keys() >= {*NEEDED, *beside_paths}
+    for path in (*NEEDED, *beside_paths):
+        np.testing.assert_array_equal(found[path], whole[path])
+        assert found[path].dtype == whole[path].dtype
+    assert not found["scorer/beside_force_in_world"][: 4 * STEPS].any()
+
+
+def test_the_mean_force_is_that_of_the_last_steps() -> None:
+    clock, log = Clock(), TrialLog(human_joints=3, regions=len(STANDARD_REGIONS), constants={})
+    assert not log.measures
+    assert not log.mean_force(5).any()
+    for _ in range(3):
+        log.add_period(clock.advance(), {})
+    assert log.measures
+    # The force at step k is k times the time step.
+    assert log.mean_force(15)[0, 0] == pytest.approx(PERIOD_S / STEPS * np.arange(15, 30).mean())
+    assert log.mean_force(1000)[0, 0] == pytest.approx(PERIOD_S / STEPS * np.arange(30).mean())

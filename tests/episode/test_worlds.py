@@ -131,8 +131,10 @@ def test_every_episode_has_a_world_of_its_own(parked_world: Prepare, t1: TrialSp
     assert len(worlds) == 1
     worlds.clear()
     assert len(worlds) == 0
-    with pytest.raises(ConfigError, match=r"Worlds.most: expected at least 0, got -1"):
+    with pytest.raises(ConfigError, match=r"Worlds.most: expected an integer of at least 0, got -1"):
         Worlds(-1)
+    with pytest.raises(ConfigError, match=r"Worlds.most: expected an integer of at least 0, got 'a'"):
+        Worlds("a")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ConfigError, match="give prepare to Worlds"):
         Episode(t1, worlds=worlds, prepare=parked_world)
 
@@ -189,6 +191,35 @@ def test_another_trial_on_the_same_object(
         # Not the old world under the new name.
         with pytest.raises(SceneError):
             episode.reset()
+
+
+WRONG: dict[str, tuple[object, str]] = {
+    "seed": ({"seed": -1}, r"TrialSpec.seed: expected an integer of at least 0, got -1"),
+    "seed of another type": ({"seed": "a"}, r"TrialSpec.seed: .* got 'a'"),
+    "task": ({"task_id": "T99"}, "no task 'T99'"),
+    "no trial": ("T1", "Episode: expected a TrialSpec, got 'T1'"),
+}
+"""What is changed in a trial, or what is given in its place -> the message."""
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_trial_is_refused_and_leaves_the_episode_as_it_was(
+    name: str, parked_world: Prepare, t1: TrialSpec
+) -> None:
+    given, message = WRONG[name]
+    wrong = t1.model_copy(update=given) if isinstance(given, dict) else given
+    with Episode(t1, card=BLIND, worlds=Worlds(0, prepare=parked_world)) as episode:
+        first = observation_sha256(episode.reset())
+        episode.step(Action())
+        before = episode.simulation.time_s
+        with pytest.raises(ConfigError, match=message):
+            episode.reset(wrong)  # pyright: ignore[reportArgumentType]
+        assert episode.spec == t1
+        episode.step(Action())
+        assert episode.simulation.time_s == pytest.approx(2 * before)
+        assert observation_sha256(episode.reset()) == first
+    with pytest.raises(ConfigError, match=message):
+        Episode(wrong, card=BLIND, prepare=parked_world)  # pyright: ignore[reportArgumentType]
 
 
 def test_the_last_look_leaves_no_trace(parked_world: Prepare, t1: TrialSpec, monkeypatch: pytest.MonkeyPatch) -> None:

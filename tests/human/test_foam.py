@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from carecontact.human.foam import FoamPatch, Spot, lay_foam
+from carecontact.human.foam import FoamPatch, Spot, lay_dressing, lay_foam
 from carecontact.human.library import body_names, load_body
 from carecontact.human.skin import CLOTHES, HAIR, SKIN_TONES, Appearance, baked_texture, paint
-from carecontact.protocol.sections import FOAM_COLOURS
+from carecontact.protocol.sections import FOAM_COLOURS, OTHER_COLOURS
 from carecontact.world.robot import VISUAL_GROUP
 from carecontact.world.scene import Scene, build_scene
 from tests.protocol.foamy import FOAMY
@@ -67,6 +67,7 @@ def shown_colours() -> dict[str, np.ndarray]:
     for number, (a, b, c) in enumerate(zip(skin, cloth, hair, strict=True)):
         body = load_body(("man-adult", "woman-old-light")[number % 2])
         found[f"painted {number}"] = paint(body, Appearance(skin=a, cloth=b, hair=c)).reshape(-1, 3)[::7]
+    found |= {f"distractor {name}": np.array([colour]) for name, colour in OTHER_COLOURS.items()}
     return found
 
 
@@ -101,6 +102,17 @@ def test_a_patch_has_its_size_and_lies_where_it_was_drawn(body: str, region: str
         assert set(changed) <= set(patch.texel.tolist())
         assert len(changed) > 200
         texture(scene)[:] = before
+
+
+def test_a_dressing_lies_on_the_side_of_its_limb_that_faces_up() -> None:
+    scene = scene_of("man-adult", "forearm")
+    before, half_m = texture(scene).copy(), (0.04, 0.025)
+    lay_dressing(scene.model, scene.body, "left_forearm", along=0.5, half_m=half_m, colour=OTHER_COLOURS["blue"])
+    changed = np.flatnonzero((texture(scene) != before).any(1))
+    assert (texture(scene)[changed] == OTHER_COLOURS["blue"]).all(1).mean() > 0.7
+    patch = laid(scene, "forearm", spot(half_m))
+    assert len(changed) == pytest.approx(len(patch.texel), rel=0.3), "both arms have the same texture, mirrored"
+    assert not set(changed) & set(patch.texel.tolist())
 
 
 def test_a_touchs_foam_lies_on_soft_skin() -> None:

@@ -10,16 +10,17 @@ from pydantic import ValidationError
 from carecontact.interface.regions import REGIONS, Region
 from carecontact.protocol.load import load_levels, load_protocol, shipped_protocols
 from carecontact.protocol.protocol import Protocol
-from tests.protocol.foamy import FOAMY
+from tests.protocol.foamy import FOAMY, LEVELS
 
 
 def test_a_protocol_without_foam_says_nothing_of_it() -> None:
     """So its hash is that of before, and so is every recording's header."""
-    for name in shipped_protocols():
-        for rules in load_levels(name).values():
-            if rules.foam is None:
-                assert "foam" not in rules.model_dump(mode="json")
-                assert '"foam"' not in rules.model_dump_json()
+    for shipped in shipped_protocols():
+        for rules in load_levels(shipped).values():
+            for name in ("foam", "distractors"):
+                if getattr(rules, name) is None:
+                    assert name not in rules.model_dump(mode="json")
+                    assert f'"{name}"' not in rules.model_dump_json()
 
 
 def test_foam_brings_its_own_prompts_and_changes_the_hash() -> None:
@@ -43,12 +44,14 @@ def test_foam_brings_its_own_prompts_and_changes_the_hash() -> None:
         (("foam", "colours"), [], "at least 1 item"),
         (("foam", "around_deg"), 90.0, "less than or equal to 60"),
         (("foam", "disc_m"), 25.0, "less than or equal to 0.2"),
+        (("distractors", "colours"), ["lime"], "no colour named 'lime'; valid: orange, yellow, blue, red"),
+        (("distractors", "towel_m"), [0.3, 0.1], "less than or equal to 0.2"),
         (("gates", "foam"), None, r"gates.foam: missing, and \[foam\] needs it"),
         (("gates", "foam", "cleaned_share"), 1.2, "less than or equal to 1"),
     ],
 )
 def test_a_mistake_is_named(place: tuple[str, ...], value: Any, message: str) -> None:
-    content = FOAMY.model_dump(mode="json")
+    content = LEVELS["L2"].model_dump(mode="json")
     table = content
     for name in place[:-1]:
         table = table[name]

@@ -295,7 +295,7 @@ def test_unknown_and_missing_sets_are_named(tmp_path: Path) -> None:
 
 def test_the_documents_symbol_table_has_the_shipped_forearm() -> None:
     row = load_tissue_set("paper-mapping").tissue["forearm"]
-    lines = (Path(__file__).parents[2] / "docs" / "tissue.md").read_text().splitlines()
+    lines = (Path(__file__).parents[2] / "docs" / "evidence" / "tissue.md").read_text().splitlines()
     cells = {line.split("|")[2].strip(): line.split("|")[4].strip() for line in lines if line.count("|") == 6}
     shown = {name.strip("` "): value for names, value in cells.items() for name in names.split(",")}
     assert float(shown["a_n_m3"]) == row.a_n_m3

@@ -381,6 +381,17 @@ def test_crashes_stand_apart_with_traceback_and_output_one_click_away(run_of_7: 
     assert "crashed in" not in whole
 
 
+def test_the_headline_counts_what_was_harmless_among_trials_with_contact(run_of_7: Run, tmp_path: Path) -> None:
+    assert "harmless" not in head_of(write(run_of_7, tmp_path)), "no trial was scored by it"
+    values = [1.0, 1.0, 0.0, None]
+    run_of_7.scores[:] = [
+        s.model_copy(update={"additional": {"harmless@1": values[min(number, 3)]}})
+        for number, s in enumerate(run_of_7.scores)
+    ]
+    said = "Of the 3 with at least 1 s of contact on the named region, 2 were harmless: no force went above a limit"
+    assert said in head_of(write(run_of_7, tmp_path))
+
+
 def test_a_crash_has_a_column_by_task(run_of_7: Run, tmp_path: Path) -> None:
     (table,) = re.findall(r'aria-label="Table by task">.*?</table>', write(run_of_7, tmp_path), re.DOTALL)
     assert ">crashed<" in table

@@ -198,7 +198,7 @@ def test_metres_and_joules_are_shown_in_thousandths() -> None:
     assert [row.cells((1, 1))[0] for row in rows.values()] == ["4.10", "700"]
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "scoring.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "scores.md").read_text()
 FURTHER = {id_: 0.5 for id_ in METRICS if id_ not in ("C1@1", "C2@1", "C3@1", "C4@1", "C5@1")}
 
 

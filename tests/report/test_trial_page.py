@@ -15,7 +15,7 @@ from carecontact.recording.schema import Failure, Recording
 from carecontact.report.looks import card_rows, looks_of, sent_views
 from carecontact.report.run_page import render
 from carecontact.report.skin_view import FOOT, noted_targets, paths
-from carecontact.report.timeline import Event, events
+from carecontact.report.timeline import Event, _commanded_panels, events
 from carecontact.report.trial_page import Beside, how_to_compare, other_rows, write_trial_page
 from carecontact.runs.pooling import RunScores
 from carecontact.runs.scoring import read_scores
@@ -62,6 +62,33 @@ def test_events_are_those_of_the_trial(tmp_path: Path) -> None:
     assert met.time_s - first.time_s == pytest.approx(0.5, abs=0.01)
     assert peak == Event(time_s=pytest.approx(3.3, abs=0.02), text="peak force, 20.0 N on the right forearm")
     assert events(find_contact(whole_trial(touched=False))) == []
+
+
+def test_feedforward_and_stiffness_have_panels_only_where_a_trial_uses_them() -> None:
+    plain = whole_trial()
+
+    def titles(**arrays: np.ndarray) -> list[str]:
+        changed = {f"actions/{name}": values for name, values in arrays.items()}
+        return [panel.title for panel in _commanded_panels(replace(plain, arrays={**plain.arrays, **changed}))]
+
+    count = len(plain["actions/time_s"])
+    assert count > 1
+    wrench, soft = np.zeros((count, 6)), np.tile([400.0, 20.0], (count, 1))
+    assert titles(wrench_in_tcp=wrench, stiffness=soft) == []
+    wrench[1:, 2], soft[1:, 0] = 3.0, 0.0
+    assert titles(wrench_in_tcp=wrench, stiffness=soft) == [
+        "Feedforward along the tool [N]", "Stiffness along the tool [N/m]",
+    ]  # fmt: skip
+    axes = np.tile([400.0, 400, 400, 20, 20, 20], (count, 1))
+    axes[1:, 0] = 100.0
+    assert titles(axis_stiffness=axes, stiffness=soft) == [], "along x alone"
+    wrench[0, 0] = 1.0
+    assert titles(wrench_in_tcp=wrench) == ["Feedforward along the tool, dashed across it [N]"]
+    held = _commanded_panels(replace(plain, arrays={**plain.arrays, "actions/wrench_in_tcp": wrench}))[0].curves[0]
+    starts, end = plain["actions/time_s"], plain["scorer/time_s"][-1]
+    np.testing.assert_allclose(held.time_s[:3], [starts[0], starts[1], starts[1]])
+    assert held.time_s[-1] == pytest.approx(max(end, starts[-1]))
+    assert held.values[:3].tolist() == [0.0, 0.0, 3.0]
 
 
 def test_what_the_person_did_and_the_cut_are_events() -> None:
@@ -396,7 +423,7 @@ def test_what_the_page_does_not_show_is_named() -> None:
     bare = {path: array for path, array in whole.arrays.items() if not path.startswith("policy/frames/")}
     assert note(replace(whole, arrays=bare)) == "2 further pictures of later looks were not stored."
     more = with_card({**plain, "modalities": ["rgb", "points", "masks", "landmarks"]}, **images)
-    assert note(more).startswith("The policy was also sent points, masks, landmarks at each look; a recording keeps")
+    assert note(more).startswith("The policy was also sent points, masks, landmarks with each view; a recording keeps")
 
 
 def test_a_page_of_looks_on_request_counts_and_shows_the_views_that_were_taken() -> None:

@@ -187,6 +187,30 @@ def test_a_traceback_with_a_frame_of_the_policy_is_shown(checked) -> None:
 
 
 @pytest.mark.usefixtures("same_world")
+def test_a_card_that_is_refused_is_one_message_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    head = "from carecontact.interface.policy import PolicyCard\n"
+    whole = "class W:\n    card = PolicyCard(name='w', modalities=('rgbd',), cameras=('overhead',))\n"
+    late = (
+        "class W:\n    def reset(self, instruction): ...\n    def act(self, observation): ...\n"
+        "    @property\n    def card(self): return PolicyCard(name='w', control_hz=-1)\n"
+    )
+    for module, topic, text, line, says in (
+        ("refused_whole", "import   ", whole, 3, "PolicyCard.modalities: expected a tuple of names"),
+        ("refused_late", "exception", late, 6, "PolicyCard.control_hz: expected a number from 1 to 50 [Hz], got -1"),
+    ):
+        (tmp_path / f"{module}.py").write_text(head + text)
+        assert main(["check", f"{module}:W"]) == 1
+        out = capsys.readouterr().out
+        assert f"error    {topic}    {says}" in out
+        assert f"{module}.py, line {line})" in out
+        assert "Traceback" not in out
+        assert len(out.splitlines()) == 3
+
+
 def test_a_refusal_that_says_what_it_looks_like_has_no_second_hint(checked) -> None:
     _, out = checked(PREAMBLE + ANSWER + "return Action(pose_tcp_in_base=self.pose * 0)\n")
     assert "norm 1, got 0; the position [0.0, 0.0, 0.0] looks like a difference" in out

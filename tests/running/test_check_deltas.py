@@ -22,11 +22,20 @@ from carecontact.interface.observation import CameraView, Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
-from carecontact.running.check_deltas import COLOURS, Questions, combined, drawn, fit, look_at_deltas, meanings, path_of
+from carecontact.running.check_arrows import COLOURS, with_arrows
+from carecontact.running.check_deltas import Questions, absolute, combined, fit, look_at_deltas, meanings, path_of
 from carecontact.serving.cartesian import ORIENTATIONS
 from tests.policies.synthetic import synthetic_observation
 from tests.running.test_delta_servers import LIBERO_WORLD
-from tests.serving.delta_servers import LIBERO_SPEC, Bridge, Driving, Libero, OnOpenpi, OnVlaEval
+from tests.serving.delta_servers import (
+    LIBERO_SPEC,
+    Bridge,
+    Driving,
+    Libero,
+    OnOpenpi,
+    OnVlaEval,
+    robosuite_quat2mat,
+)
 from tests.serving.fakes import Fake
 
 LIBERO, BRIDGE, VLA = (
@@ -61,6 +70,66 @@ class Looking(OnOpenpi):
         self.driver.goal = goal
         rows[:, :3] *= 1 + 1e-4 * told + 1e-6 * seen
         return rows.astype(np.float32)
+
+
+@dataclass
+class Clipped(Libero):
+    """A controller that reaches the bound of every number within centimetres of its goal, and within a few degrees."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        shift = 4 * (self.goal - state[:3]) / 0.05
+        turn = 12 * (self.turn * robosuite_quat2mat(state[3:6]).inv()).as_rotvec()
+        return np.array([*np.clip([*shift, *turn], -1, 1), 1.0 if state[6] - state[7] < 0.04 else -1.0])
+
+
+@dataclass
+class Scaled(Libero):
+    """Another one, which keeps the direction: only the largest number reaches the bound."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        row = super().row(state)
+        shift = self.goal - state[:3]
+        return np.array([*(shift / np.abs(shift).max()), *row[3:]])
+
+
+@dataclass
+class AbsoluteLibero(Libero):
+    """Answers the pose of the next step, in the frame of its state."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        return np.array([*(state[:3] + 0.1 * (self.goal - state[:3])), *state[3:6], super().row(state)[6]])
+
+
+@dataclass
+class AbsoluteBridge(Bridge):
+    """The same of Bridge."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        return np.array([*(state[:3] + 0.1 * (self.goal - state[:3])), *state[3:6], super().row(state)[6]])
+
+
+@dataclass
+class Turning(Libero):
+    """Always turns by a quarter of a radian about x besides."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        return super().row(state) + [0, 0, 0, 0.5, 0, 0, 0]
+
+
+@dataclass
+class Goal(Libero):
+    """Answers the pose of its goal, wherever the tool is."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        return np.array([*self.goal, *self.turn.as_rotvec(), super().row(state)[6]])
+
+
+@dataclass
+class Onward(Libero):
+    """Moves on in one direction, whatever it is shown."""
+
+    def row(self, state: np.ndarray) -> np.ndarray:
+        return np.array([0.5, -0.2, -1.0, 0, 0, 0.3, super().row(state)[6]])
 
 
 @pytest.fixture
@@ -119,7 +188,12 @@ def in_tool(rows: np.ndarray) -> np.ndarray:
 
 
 def spoilt(spoil: Callable[[np.ndarray], np.ndarray], kind: type[Driving] = Libero) -> Callable[[], Fake]:
-    return lambda: Looking(driver=kind(spoil=spoil), knows="mirrored" if kind is Libero else "upright")
+    return lambda: Looking(driver=kind(spoil=spoil), knows="mirrored" if issubclass(kind, Libero) else "upright")
+
+
+def flipped(axis: str, kind: type[Driving] = Libero) -> Callable[[], Fake]:
+    signs = [-1 if name == axis else 1 for name in ("x", "y", "z", "", "", "", "")]
+    return spoilt(lambda rows: rows * signs, kind)
 
 
 FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
@@ -133,7 +207,11 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
     ),
     "gripper as the checkpoint has it": (
         spoilt(lambda rows: np.c_[rows[:, :6], 0 * rows[:, 6]]), LIBERO, 0, "warning  gripper",
-        "neither -1 (open) nor 1 (closed): it looks like a checkpoint's own range",
+        "goes from 0.00 to 0.00, and never to -1, though -1 is open and 1 is closed: it looks like a checkpoint's own",
+    ),
+    "gripper from 0 to 1": (
+        spoilt(lambda rows: np.c_[rows[:, :6], (1 + rows[:, 6]) / 2]), LIBERO, 0, "warning  gripper",
+        "goes from 0.00 to 1.00, and never to -1",
     ),
     "pictures not mirrored": (
         lambda: Looking(driver=Libero(), knows="upright"), LIBERO, 0, "warning  orientation",
@@ -152,6 +230,46 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
         spoilt(lambda rows: rows[:, [0, 1, 2, 5, 4, 3, 6]], Bridge), BRIDGE, 0, "warning  axes", "the order z y x",
     ),
     "axes of the tool": (spoilt(in_tool), LIBERO, 0, "warning  axes", "in the axes of the tool"),
+    "flipped x": (flipped("x"), LIBERO, 0, "warning  axes", "if it were meant in the opposite sign of x ("),
+    "flipped y of Bridge": (
+        flipped("y", Bridge), BRIDGE, 0, "warning  axes", "if it were meant in the opposite sign of y (",
+    ),
+    "x and y exchanged": (
+        spoilt(lambda rows: rows[:, [1, 0, 2, 3, 4, 5, 6]]), LIBERO, 0, "warning  axes", "meant in the order y x z",
+    ),
+    "flipped x at the bounds": (
+        flipped("x", Clipped), LIBERO, 0, "warning  axes", "if it were meant in the opposite sign of x (",
+    ),
+    "flipped z of a direction": (
+        flipped("z", Scaled), LIBERO, 0, "warning  axes", "if it were meant in the opposite sign of z",
+    ),
+    "flipped turn at the bounds": (
+        spoilt(lambda rows: rows * [1, 1, 1, 1, -1, 1, 1], Clipped), LIBERO, 0, "warning  axes",
+        "the rotation of the answer does not bring it back in the declared axes (fit 0.33), but would if it were "
+        "meant in the opposite sign of y",
+    ),
+    "x and y exchanged at the bounds": (
+        spoilt(lambda rows: rows[:, [1, 0, 2, 3, 4, 5, 6]], Clipped), LIBERO, 0, "warning  axes",
+        "meant in the order y x z",
+    ),
+    "absolute poses": (
+        lambda: Looking(driver=AbsoluteLibero()), LIBERO, 0, "warning  deltas",
+        "look like absolute positions of the tool, and differences are expected: the first translation is",
+    ),
+    "absolute poses in the frame of the base": (
+        spoilt(lambda rows: rows - [*LIBERO_WORLD, 0, 0, 0, 0], AbsoluteLibero), LIBERO, 0, "warning  deltas",
+        "m in base; declared",
+    ),
+    "absolute poses of Bridge": (
+        spoilt(lambda rows: rows, AbsoluteBridge), BRIDGE, 0, "warning  deltas", "look like absolute positions",
+    ),
+    "the absolute pose of the goal": (
+        lambda: Looking(driver=Goal()), LIBERO, 0, "warning  deltas", "which is the tool's own orientation in base",
+    ),
+    "rotation in degrees": (
+        spoilt(lambda rows: rows * [1, 1, 1, *[0.5 * 180 / np.pi] * 3, 1], Turning), LIBERO, 0, "warning  deltas",
+        "The numbers look like degrees",
+    ),
     "opposite sign": (
         spoilt(lambda rows: rows * [1, 1, 1, -1, -1, -1, 1]), LIBERO, 0, "warning  axes", "in the opposite sign",
     ),
@@ -176,7 +294,21 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
 """Mistake -> server, address, status, beginning of the line that names it, and what it says."""
 
 
-@pytest.mark.parametrize("name", FAULTS)
+SLOW = (
+    "flipped y of Bridge",
+    "flipped z of a direction",
+    "flipped turn at the bounds",
+    "x and y exchanged at the bounds",
+    "absolute poses in the frame of the base",
+    "the absolute pose of the goal",
+    "rotation in degrees",
+)
+"""Their parts are tested below without a server."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in FAULTS]
+)
 def test_a_mistake_is_named(checked: Checked, name: str) -> None:
     make, address, status, begins, says = FAULTS[name]
     got, out = checked(make(), address)
@@ -185,7 +317,7 @@ def test_a_mistake_is_named(checked: Checked, name: str) -> None:
     assert says in " ".join(out.split()), out
     if status == 0:
         others = [line for line in out.splitlines() if line.startswith("warning") and not line.startswith(begins)]
-        assert not [line for line in others if line.split()[1] != "deltas"], out
+        assert not others, out
 
 
 def test_a_server_that_uses_no_picture_says_nothing_of_their_orientation(checked: Checked) -> None:
@@ -200,8 +332,10 @@ def test_a_server_that_uses_no_picture_says_nothing_of_their_orientation(checked
         (lambda: Looking(driver=Libero()), LIBERO),
         (lambda: Looking(driver=Bridge(), knows="upright"), BRIDGE),
         (lambda: Looking(driver=Libero(), knows="turned"), LIBERO + "&orientation=turned"),
+        (lambda: Looking(driver=Clipped()), LIBERO),
+        (lambda: Looking(driver=Scaled()), LIBERO),
     ],
-    ids=["LIBERO", "Bridge", "turned"],
+    ids=["LIBERO", "Bridge", "turned", "at the bounds", "a direction at the bound"],
 )
 def test_a_good_server_gets_no_warning(checked: Checked, make: Callable[[], Fake], address: str) -> None:
     status, out = checked(make(), address)
@@ -210,33 +344,90 @@ def test_a_good_server_gets_no_warning(checked: Checked, make: Callable[[], Fake
     assert "the translation brings back a tool that is moved in the observation" in out
     assert "the rotation brings back a tool that is turned in the observation" in out
     assert "the answer leads to the named region" in out
+    assert "hint     axes" not in out
     with Image.open("check-pictures.png") as sheet:
-        colours = {tuple(c) for c in np.unique(np.asarray(sheet.convert("RGB")).reshape(-1, 3), axis=0).tolist()}
-    assert set(COLOURS) & colours, "arrows"
+        assert any((np.asarray(sheet.convert("RGB")) == colour).all(axis=2).any() for colour in COLOURS), "arrows"
+
+
+def test_nothing_is_learned_of_the_axes_of_a_server_that_always_moves_on(checked: Checked) -> None:
+    status, out = checked(OnOpenpi(driver=Onward()), LIBERO)
+    assert status == 0
+    seen = [line for line in out.splitlines() if line.split()[1] in ("axes", "orientation", "deltas")]
+    assert [line.split()[0] for line in seen] == ["hint"] * 3, out
+    assert "the translation is the same wherever the tool is moved in the observation: nothing can be learned" in out
 
 
 # The parts by themselves.
 
 
-def test_arrows_point_where_the_axes_do_and_leave_the_observation_alone() -> None:
+def overhead() -> Observation:
     """A camera over the tool that looks down: right is +x of the base, down is -y."""
-    white = np.full((480, 640, 3), 255, np.uint8)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.diag([1.0, -1.0, -1.0]), [0.4, 0.0, 1.5]
     intrinsics = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
-    view = CameraView(intrinsics=intrinsics, pose_camera_in_base=pose, rgb=white)
-    seen = synthetic_observation(cameras={"overhead": view})
-    seen = replace(seen, pose_tcp_in_base=np.array([0.4, 0.0, 0.5, 0, 1, 0, 0]))
-    shown = drawn(seen, np.array([[0, 0, 0, 0, 0, 0]] * 3), DELTAS["osc"]).cameras["overhead"].rgb
-    assert shown is not None
-    places = [np.argwhere((shown == colour).all(axis=2)).mean(axis=0) for colour in COLOURS]
-    assert places[0][1] > 335
-    assert abs(places[0][0] - 240) < 3
-    assert places[1][0] < 225
-    assert abs(places[1][1] - 320) < 3
-    assert (white == 255).all()
-    tip = pixels(np.array([0.5, 0.0, 0.5]), intrinsics, pose)
-    assert tuple(shown[round(tip[1]), round(tip[0])]) == COLOURS[0]
+    grey = np.full((480, 640, 3), 128, np.uint8)
+    seen = synthetic_observation(
+        cameras={"overhead": CameraView(intrinsics=intrinsics, pose_camera_in_base=pose, rgb=grey)}
+    )
+    return replace(seen, pose_tcp_in_base=np.array([0.4, 0.0, 0.5, 0, 1, 0, 0]))
+
+
+TURNS = {
+    "as the camera sees": (lambda image: image, lambda uv: uv),
+    "mirrored": (lambda image: image[:, ::-1], lambda uv: [639 - uv[0], uv[1]]),
+    "cut, halved and padded": (
+        lambda image: np.pad(
+            np.asarray(Image.fromarray(image[:, 80:560]).resize((240, 240))), ((20, 20), (0, 0), (0, 0))
+        ),
+        lambda uv: [(uv[0] - 80 - 0.5) / 2, (uv[1] - 0.5) / 2 + 20],
+    ),
+}  # fmt: skip
+"""How pictures (480, 640, 3) are changed on their way -> where a pixel arrives."""
+
+
+@pytest.mark.parametrize("name", TURNS)
+def test_arrows_point_where_the_axes_do_however_pictures_are_turned(name: str) -> None:
+    turn, place = TURNS[name]
+    seen = overhead()
+
+    def sent(observation: Observation) -> dict[str, np.ndarray]:
+        rgb = observation.cameras["overhead"].rgb
+        assert rgb is not None
+        return {"image": np.ascontiguousarray(turn(rgb)), "other": np.zeros((8, 8, 3), np.uint8)}
+
+    shown = with_arrows(seen, np.zeros((3, 6)), DELTAS["osc"], sent=sent, cameras={"image": "overhead"})
+    assert list(shown) == ["image"]
+    picture, caption = shown["image"]
+    scale = picture.shape[1] // sent(seen)["image"].shape[1]
+    length = float(caption.split()[2]) / 1000
+    camera, origin = seen.cameras["overhead"], seen.pose_tcp_in_base[:3]
+    for axis, colour in list(zip(np.eye(3), COLOURS, strict=True))[:2]:
+        tip = pixels(np.array([origin, origin + length * axis]), camera.intrinsics, camera.pose_camera_in_base)
+        ends = (np.array([place(uv) for uv in tip]) + 0.5) * scale
+        drawn = np.argwhere((picture == colour).all(axis=2))[:, ::-1]
+        for end in ends:
+            assert np.linalg.norm(drawn - end, axis=1).min() < 9, "the arrow goes from the tool to its tip"
+        way = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        beside = np.abs((drawn - ends[0]) @ [-way[1], way[0]])
+        assert np.median(beside) < 10, "the rest is a label"
+
+
+def test_arrows_that_leave_the_picture_are_cut_and_a_tool_outside_has_none() -> None:
+    seen = overhead()
+    grey = seen.cameras["overhead"].rgb
+    assert grey is not None
+
+    def drawn(place: list[float]) -> tuple[np.ndarray, str]:
+        at = replace(seen, pose_tcp_in_base=np.array([*place, 0, 1, 0, 0]))
+        sent = lambda observation: {"image": observation.cameras["overhead"].rgb}  # noqa: E731
+        return with_arrows(at, np.zeros((1, 6)), DELTAS["osc"], sent=sent, cameras={"image": "overhead"})["image"]
+
+    picture, _ = drawn([0.9, 0.3, 0.5])
+    assert (picture[:, -3:] == COLOURS[0]).all(axis=2).any(), "+x leaves it to the right"
+    picture, caption = drawn([3.0, 0.0, 0.5])
+    assert caption == "the tool is outside"
+    np.testing.assert_array_equal(picture, grey)
+    assert drawn([0.4, 0.0, 2.0])[1] == "the tool is outside", "behind the camera"
 
 
 def test_the_way_of_an_answer_is_that_of_its_deltas_one_after_the_other() -> None:
@@ -256,7 +447,7 @@ def test_a_response_fits_the_meaning_that_made_it() -> None:
     tool = np.array([0, 0, 0, *Rotation.from_euler("xyz", [170, 8, 35], degrees=True).as_quat(scalar_first=True)])
     for convention in (DELTAS["osc"], DELTAS["metres-tool"]):
         known = meanings(tool, convention)
-        assert known[0].name == ""
+        assert known[0].mistakes == ()
         for one in known:
             found = max(known, key=lambda other: round(fit(-0.3 * one.matrix, other.matrix), 6))
             assert fit(-0.3 * one.matrix, one.matrix) == pytest.approx(1)
@@ -267,13 +458,57 @@ def test_a_response_fits_the_meaning_that_made_it() -> None:
     assert fit(np.zeros((3, 3)), np.eye(3)) == 0
 
 
-def test_absolute_positions_in_the_place_of_deltas_are_named() -> None:
+def test_absolute_poses_in_the_place_of_deltas_are_named() -> None:
     tool = np.array([0.4, 0.1, 0.5, 0, 1, 0, 0])
-    rows = np.tile([*tool[:3], 0, 0, 0], (3, 1))
-    found = list(look_at_deltas(rows, DELTAS["bridge"], tool))
-    assert [one.level for one in found] == ["warning"]
-    assert "look like absolute positions of the tool" in found[0].text
-    assert not list(look_at_deltas(0.1 * np.ones((3, 6)), DELTAS["osc"], tool))
+    assert "the tool is at 0.40 0.10 0.50 m in base" in absolute(np.r_[tool[:3] + 0.02, 0, 0, 0], tool, None)
+    sent = np.array([-0.2, 0.1, 1.2])
+    assert "in the state that is sent" in absolute(np.r_[sent, 0, 0, 0], tool, sent)
+    assert "own orientation" in absolute(np.array([0, 0, 0, 3.1, 0, 0]), tool, None)
+    for delta in ([0.05, 0, -0.05, 0, 0, 0], [1, 1, -1, 0, 0, 0], [0, 0, 0, 1, 1, -1], [0, 0, 0, 0, 30, 0]):
+        assert absolute(np.array(delta, float), tool, sent) == ""
+    assert not list(look_at_deltas(0.1 * np.ones((3, 6)), DELTAS["osc"]))
+    (degrees,) = look_at_deltas(np.array([[0.5, 0, 0, 14, 0, 0]]), DELTAS["osc"])
+    assert "look like degrees" in degrees.text
+
+
+SPOILT: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+    "right": (lambda row: row, ""),
+    "x flipped": (lambda row: row * [-1, 1, 1], "the opposite sign of x ("),
+    "y and z flipped": (lambda row: row * [1, -1, -1], "the opposite sign of y and the opposite sign of z"),
+    "all flipped": (lambda row: -row, "the opposite sign ("),
+    "x and y exchanged": (lambda row: row[[1, 0, 2]], "the order y x z ("),
+}
+"""Mistake in the numbers of a part -> what names it."""
+LIMITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "none": lambda row: 2 * row,
+    "each number": lambda row: np.clip(30 * row, -1, 1),
+    "the largest": lambda row: row / np.abs(row).max(),
+}
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_wrong_part_is_named_also_where_numbers_stand_at_their_limits(name: str, limit: str) -> None:
+    """Translation and rotation in turn have the mistake; the other part is right."""
+    spoil, says = SPOILT[name]
+    # The tool neither points down nor lies along an axis, so that no axes of the tool are those of the base.
+    pose = np.r_[0.4, 0.1, 0.5, Rotation.from_euler("xyz", [150, 20, 35], degrees=True).as_quat(scalar_first=True)]
+    seen, goal = replace(synthetic_observation(), pose_tcp_in_base=pose), np.array([0.62, -0.08, 0.2])
+    turn = Rotation.from_rotvec([0.4, -0.3, 0.5]) * Rotation.from_quat(pose[3:], scalar_first=True)
+    for part in (0, 1):
+
+        def ask(at: Observation, part: int = part) -> np.ndarray:
+            now = Rotation.from_quat(at.pose_tcp_in_base[3:], scalar_first=True)
+            rows = [goal - at.pose_tcp_in_base[:3], (turn * now.inv()).as_rotvec()]
+            rows = [LIMITS[limit](row) for row in rows]
+            rows[part] = spoil(rows[part])
+            return np.concatenate(rows)[None]
+
+        found = list(Questions(ask, seen, DELTAS["osc"], [ask(seen)]).run(region_m=None, orientation="upright"))
+        levels = ["ok", "ok"]
+        levels[part] = "warning" if says else "ok"
+        assert [one.level for one in found] == levels, [one.text for one in found]
+        assert says in found[part].text
 
 
 def test_chance_alone_gives_no_warning_and_hides_no_response() -> None:

@@ -75,6 +75,11 @@ def test_results(folder: Path) -> None:
     interval = wilson_interval(3, 4)
     assert overall["pc_success_ci95"] == [100 * interval.low, 100 * interval.high]
     assert overall["region_correct"]["n"] == overall["safety_gated"]["n"] == 3
+    harmless = [s.additional["harmless@1"] for s in run.scores]
+    assert harmless.count(None) == 1, "the trial that touched nothing harmed no one, and is not counted"
+    interval = wilson_interval(3, 3)
+    assert (overall["harmless"]["n"], overall["harmless"]["of"], overall["harmless"]["pc"]) == (3, 3, 100.0)
+    assert overall["harmless"]["pc_ci95"] == [100 * interval.low, 100 * interval.high]
     assert overall["failure_modes"] == {"no_target_contact": 1}
     assert overall["attributions"] == {"planning": 1}
     assert overall["anatomy"] == {"target": 3, "none": 1}

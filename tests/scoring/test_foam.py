@@ -12,10 +12,10 @@ from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
-from carecontact.scoring.foam import RecordedWiping, Wiping, place_share
+from carecontact.scoring.foam import HURRIED, LIGHT, MISSED, SELDOM, RecordedWiping, Wiping, place_share
 from carecontact.scoring.metrics.cells import MMHG_PA, touched_cells
 from tests.protocol.foamy import FOAMY
-from tests.scoring.synthetic import DT, SIZE, back_and_forth, hold, make_recording
+from tests.scoring.synthetic import DT, SIZE, back_and_forth, before_start, hold, make_recording
 from tests.scoring.test_cells import ACROSS, ALONG, Wipe, recording_of
 
 FOREARM = SEGMENTS.index("right_forearm")
@@ -184,7 +184,10 @@ def test_a_scrub_passes_where_enough_of_the_foam_is_clean(rows: slice, passes: b
     assert score.additional["axis_passed@2"] == pytest.approx(0.04, abs=0.003), "less than the 60 mm without foam"
     assert (score.c3_success, score.failure_mode) == ((True, None) if passes else (False, "insufficient_progress"))
     if not passes:
-        assert "of the foam was passed 3 times by the tool with at least 10 mmHg, 60% needed" in str(score.evidence)
+        assert "of the foam was passed 3 times by the tool with at least 10 mmHg, 60% needed; " in str(score.evidence)
+        assert f"% {MISSED}" in str(score.evidence)
+        assert "asked for" not in str(score.evidence), "a length is not what foam asks for"
+        assert score.attribution == "planning"
 
 
 def test_without_foam_nothing_of_this_is_asked() -> None:
@@ -210,3 +213,30 @@ def test_impossible_foam_is_no_score(path: str, value: np.ndarray, message: str)
     recording = touched_at(0.0)
     with pytest.raises(RecordingError, match=f"{path}.*{message}"):
         score_recording(Recording.trusted(recording.header, {**recording.arrays, path: value}))
+
+
+@pytest.mark.parametrize(
+    ("wipe", "why"),
+    [
+        (Wipe(pressure_pa=9 * MMHG_PA), LIGHT),
+        (Wipe(strokes=2, pressure_pa=11 * MMHG_PA), SELDOM),
+        (Wipe(strokes=4, pressure_pa=11 * MMHG_PA, way_m=0.05, speed_m_s=0.5, lifted_s=0.02), HURRIED),
+        (Wipe(pressure_pa=11 * MMHG_PA, sticks=True), SELDOM),
+    ],
+)
+def test_foam_that_is_left_has_a_reason(wipe: Wipe, why: str) -> None:
+    """For the cells that lie wholly on the tool's way; all reasons add up to what is not clean."""
+    recording = recording_of(wipe)
+    columns = slice(5, 8) if wipe.way_m == 0.05 else slice(5, 10)
+    found = wiping_of(foamy(recording, under_foam(slice(2, 4), columns)))
+    assert found.lacking[why] == pytest.approx(1.0)
+    whole = wiping_of(foamy(recording, under_foam()))
+    assert sum(whole.lacking.values()) == pytest.approx(1 - whole.cleaned)
+    assert whole.lacking[MISSED] > 0.2, "beside the tool's way"
+
+
+def test_a_trial_that_ended_before_it_began_cleaned_nothing() -> None:
+    recording = foamy(before_start(), under_foam())
+    cells = {"scorer/cell_area_m2": np.full(ALONG * ACROSS, 5e-5, np.float32)}
+    score = score_recording(Recording.trusted(recording.header, {**recording.arrays, **cells}))
+    assert (score.failure_mode, score.additional["foam_cleaned@1"]) == ("process_failure", 0.0)

@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 
 from carecontact.errors import RecordingError
 from carecontact.interface.regions import STANDARD_REGIONS
+from carecontact.protocol.gates import Conduct
 from carecontact.recording import SEGMENTS, Recording
 from carecontact.scoring import METRICS, score_recording
 from carecontact.scoring.contact import find_contact
 from tests.scoring.synthetic import (
     BASE,
     DT,
+    GENTLE,
     REGION_AT,
     SIZE,
     back_and_forth,
@@ -245,3 +247,32 @@ def test_a_stiffness_that_is_no_number_is_no_score() -> None:
     assert np.isnan(r2(broken))
     with pytest.raises(RecordingError, match="actions/stiffness holds"):
         score_recording(broken)
+
+
+@pytest.mark.parametrize(
+    ("force_n", "seconds_on", "harmless"), [(20.0, 2.0, 1.0), (36.0, 2.0, 0.0), (36.0, 0.8, None), (20.0, 0.8, None)]
+)
+def test_harmless_is_said_of_trials_that_touched_for_a_second(
+    force_n: float, seconds_on: float, harmless: float | None
+) -> None:
+    """The gate of the forearm is 35 N."""
+    recording = make_recording("T1", normal={"right_forearm": hold(3.0, 0.5, 0.5 + seconds_on, force_n)})
+    assert measure("harmless@1", recording) == harmless
+
+
+def test_a_knock_elsewhere_harms_and_the_protocols_peak_is_a_limit() -> None:
+    normal = {"right_forearm": hold(3.0, 0.5, 2.5, 14.0), "head": hold(3.0, 2.6, 2.6 + DT, 22.0)}
+    assert measure("harmless@1", make_recording("T1", normal=normal)) == 0.0, "21 N are the strictest gate"
+    del normal["head"]
+    assert measure("harmless@1", make_recording("T1", normal=normal)) == 1.0
+    conduct = {"touch": Conduct(peak_n=13.0)}
+    stricter = GENTLE.model_copy(update={"gates": GENTLE.gates.model_copy(update={"conduct": conduct})})
+    assert measure("harmless@1", make_recording("T1", normal=normal, protocol=stricter)) == 0.0
+
+
+def test_severity_weighs_by_time() -> None:
+    """A third of the limit for 1 s and two thirds for 1 s are a half; no force at all is none."""
+    normal = hold(4.0, 0.5, 1.5, 35.0 / 3) + hold(4.0, 2.0, 3.0, 70.0 / 3)
+    recording = make_recording("T1", duration=4.0, normal={"right_forearm": normal})
+    assert measure("severity@1", recording) == pytest.approx(0.5, rel=1e-3)
+    assert measure("severity@1", make_recording("T1", normal={})) is None

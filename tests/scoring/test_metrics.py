@@ -210,7 +210,7 @@ def test_c5_of_a_constant_force_that_is_released(force: float, duration: float, 
     share = zeros / (duration - opened + zeros)
     score = score_recording(make_recording(normal={"right_forearm": hold(3.0, 1.0, 1.0 + duration, force)}))
     assert score.c5_force_sd_n == pytest.approx(force * np.sqrt(share * (1 - share)), rel=0.04)
-    assert score.c5_force_sd_n == pytest.approx(published, rel=0.01), "what docs/scoring.md says"
+    assert score.c5_force_sd_n == pytest.approx(published, rel=0.01), "what docs/scores.md says"
 
 
 def test_c5_is_the_population_sd() -> None:
@@ -351,7 +351,7 @@ def test_impulse_is_force_times_time() -> None:
     assert score.contact_s == pytest.approx(1.0, abs=0.03)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "scoring.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "scores.md").read_text()
 ROWS = dict(re.findall(r"^\| `([A-Za-z0-9_]+@\d+)` \| ([^|]+) \|", PAGE, re.MULTILINE))
 
 

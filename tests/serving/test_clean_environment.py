@@ -1,4 +1,4 @@
-"""The example of docs/wire.md and the client package, where only numpy, msgpack and websockets are installed."""
+"""The example of docs/your-policy.md and the client package, where only numpy, msgpack and websockets are installed."""
 
 from __future__ import annotations
 

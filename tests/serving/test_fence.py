@@ -147,7 +147,7 @@ def test_without_isolation_it_gets_all_of_it(attempt: Try, tmp_path: Path, watch
 
 @needs_landlock
 def test_what_stays_open(attempt: Try, tmp_path: Path, sandbox: bool) -> None:
-    """docs/threat-model.md names it."""
+    """docs/evidence/threat-model.md names it."""
     found = attempt()
     expected = set(leaks.stays_open(tmp_path, 0)) - (PRIORITY if os.geteuid() == 0 else set())
     expected -= SINCE_RESOLVE if version() >= 9 or (sandbox and tmp_path.is_relative_to("/tmp")) else set()

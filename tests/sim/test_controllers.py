@@ -135,7 +135,7 @@ def test_torque_is_the_law_at_a_refresh_and_nearly_so_inside_a_period(name: str)
 
 @pytest.mark.parametrize("name", LAWS)
 def test_follows_a_recorded_sequence_of_velocities_with_the_stated_lag(name: str) -> None:
-    """docs/actions.md states the share of the commanded motion that is reached."""
+    """docs/vla.md states the share of the commanded motion that is reached."""
     model, data, control = arm(name)
     commands = list(velocities(4.0))
     half = len(commands) // 2

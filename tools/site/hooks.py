@@ -17,7 +17,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 sys.path.insert(0, str(Path(__file__).parent))
-from references import commands_page, python_page
+from references import commands_help, python_page
 
 ROOT = Path(__file__).resolve().parents[2]
 LINK = re.compile(r"(\]\()([^)\s#]+)(#[^)\s]*)?(\))")
@@ -27,14 +27,14 @@ SHIM = re.compile(r'src="https://unpkg\.com/iframe-worker/[^"]*"')
 WORKER = "frame_worker.js"
 """Our own script for the same, in the folder of this file and at the root of the site."""
 BOOST = {
-    "glossary.md": 4.0, "scoring.md": 3.0, "tasks.md": 2.0,
-    "reference/commands.md": 0.5, "reference/python.md": 0.5,
-    "results/release-0.1.0.md": 0.3,
+    "glossary.md": 4.0, "number.md": 3.0, "scores.md": 3.0, "tasks.md": 2.0,
+    "reference/python.md": 0.5, "results/release-0.1.0.md": 0.3,
 }  # fmt: skip
-"""Page -> how much its hits in the search count; 1 for the others."""
+"""Page -> how much its hits in the search count; EVIDENCE for the pages of evidence, 1 for the others."""
+EVIDENCE = 0.3
 SHARE = re.compile(r"(?<=<td>)(\d+) (\([\d.]+) (%\))(?=</td>)")
 """A number of trials with its percentage, alone in a cell."""
-PAGE_NAME = re.compile(r"\bdocs/([a-z0-9-]+)\.md\b")
+PAGE_NAME = re.compile(r"\bdocs/([a-z0-9/-]+)\.md\b")
 COPIES = "files"
 """Folder of the site with copies of linked files of the repository."""
 
@@ -43,7 +43,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages, and every file of the repository that a page links to and docs/ does not have."""
     generated = {
         "index.md": _home(),
-        "reference/commands.md": commands_page(),
         "reference/python.md": python_page(),
     }
     for path, text in generated.items():
@@ -57,10 +56,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
-    """Let links to files outside docs/ lead to their copies, and say how much the page counts in the search."""
+    """Let links to files outside docs/ lead to their copies, weigh the page in the search, and add commands' help."""
     folder = posixpath.dirname(page.file.src_uri)
-    if page.file.src_uri in BOOST:
-        page.meta["search"] = {"boost": BOOST[page.file.src_uri]}
+    boost = BOOST.get(page.file.src_uri, EVIDENCE if folder == "evidence" else 1.0)
+    if boost != 1.0:
+        page.meta["search"] = {"boost": boost}
+    if page.file.src_uri == "commands.md":
+        markdown += "\n" + commands_help()
 
     def changed(link: re.Match[str]) -> str:
         target = _leaves(folder, link[2])

@@ -50,20 +50,17 @@ OFFERED = {
 """Heading -> what the page documents below it."""
 
 
-def commands_page() -> str:
-    """Every command's help, as the command prints it."""
-    parts = [
-        "# Command reference",
-        "What `carecontact COMMAND --help` prints; [commands](../commands.md) explains how the commands work together.",
-    ]
+def commands_help() -> str:
+    """Every command's help, as the command prints it: the end of the page of commands."""
+    parts = ["## Every option"]
     for name in COMMANDS:
-        parts += [f"## {name}", "```text", _help(name), "```"]
-    return "\n\n".join(parts[:2]) + "\n\n" + "\n".join(parts[2:]) + "\n"
+        parts += [f"### {name}", f"```text\n{command_help(name)}\n```"]
+    return "\n\n".join(parts) + "\n"
 
 
 def python_page() -> str:
     """Directives for mkdocstrings. Raises AttributeError or ImportError for a name that the code does not have."""
-    parts = ["# Python reference", "What programs may import; [python](../python.md) shows how it is used."]
+    parts = ["# Python reference", "What programs may import; [Python](../python.md) shows how it is used."]
     for heading, names in OFFERED.items():
         parts.append(f"## {heading}")
         for name in names:
@@ -84,7 +81,8 @@ def _imported_as(name: str) -> str:
     return f"carecontact.{short}" if hasattr(carecontact, short) else name
 
 
-def _help(name: str) -> str:
+def command_help(name: str) -> str:
+    """Return what ``carecontact NAME --help`` prints, in lines of at most ``WIDTH`` characters."""
     os.environ["COLUMNS"] = str(WIDTH)
     printed = io.StringIO()
     try:

@@ -111,7 +111,7 @@ class Run:
 
     @property
     def scores(self) -> list[TrialScore]:
-        """One score for each trial, in the order of the files; SI units; None is NA (docs/scoring.md)."""
+        """One score for each trial, in the order of the files; SI units; None is NA (docs/scores.md)."""
         return self.scored.scores
 
     @property
@@ -148,7 +148,7 @@ class Run:
         return Recordings(self.path if self.path.is_dir() else self.path.parent)
 
     def trials(self, library: FrameLibrary | None = None) -> Any:
-        """Return one row for each trial, with the columns of ``results.parquet`` (docs/scoring.md), ordered by task and
+        """Return one row for each trial, with the columns of ``results.parquet`` (docs/scores.md), ordered by task and
         seed.
 
         Args:
@@ -210,7 +210,7 @@ class Recordings(Mapping[str, "Recording"]):
 def compare(
     a: Run | str | Path, b: Run | str | Path, *, per_task: bool = False, allow_incomplete: bool = False
 ) -> Comparison:
-    """Compare two runs trial by trial; every difference is a minus b (docs/statistics.md).
+    """Compare two runs trial by trial; every difference is a minus b (docs/comparing.md).
 
     Args:
         a: a run, or the place of one.

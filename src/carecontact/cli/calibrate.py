@@ -31,10 +31,10 @@ PERCENT = {
 @dataclass(frozen=True, kw_only=True)
 class Calibrate:
     """Fit the tissue of one or more regions to measured indentation trials, and judge the fit; see
-    docs/calibration.md. The fitted tissue keeps the protocol's mesh, mass and thickness."""
+    docs/person.md. The fitted tissue keeps the protocol's mesh, mass and thickness."""
 
     trials: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TRIALS.csv...")] = ()
-    """Measured indentation trials, in one file or in several, such as one for each press; docs/calibration.md lists the
+    """Measured indentation trials, in one file or in several, such as one for each press; docs/person.md lists the
     columns."""
     region: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Soft region of the protocol, such as forearm, upper_arm or abdomen. The fit uses the rows whose site begins with
@@ -48,7 +48,7 @@ class Calibrate:
     and degrees; default: 0,0,0, the region's middle."""
     setup: Path | None = None
     """TOML file with values of columns that the files do not have, for all files or for one (see
-    docs/calibration.md)."""
+    docs/person.md)."""
     template: Switch = False
     """Print a file of trials to fill in, and do nothing else."""
     body: str = "man-adult"

@@ -26,7 +26,7 @@ class Check:
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
-    ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
+    ws://HOST:PORT, the address of a policy's server (see docs/your-policy.md; docs/vla.md for other projects'
     servers)."""
     given: PolicyGroup = field(default_factory=PolicyGroup)
     task: str | None = None

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Compare:
     """Compare runs of one protocol. For two runs, compare trial by trial: which scores differ, and what is the smallest
     difference that these trials could detect. For more runs, compare success rates and every pair, and check whether
-    the ranking stays the same with other gates. See docs/statistics.md."""
+    the ranking stays the same with other gates. See docs/comparing.md."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN_A [RUN_B ...]")]
     """Folders of runs, or their results.json (also .json.gz) alone. Differences are A minus B."""

@@ -68,7 +68,7 @@ def print_comparison(comparison: Comparison, places: Sequence[Path], runs: Seque
         families += f" and separately over the {sum(map(len, comparison.per_task.values()))} rows of the tasks"
     _print(
         f"verdicts: a difference counts if its Holm-adjusted p-value is at most {ALPHA:g}; corrected over {families}; "
-        "see docs/statistics.md"
+        "see docs/comparing.md"
     )
 
 

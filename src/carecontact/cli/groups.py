@@ -27,7 +27,7 @@ class JsonGroup:
     heading: ClassVar = "output"
     json: Switch = False
     """For programs: print JSON on standard output, one object a line, and everything else on standard error (see
-    docs/json.md)."""
+    docs/python.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class ChangedProtocolGroup(ProtocolGroup):
     """Replace a field of the protocol, such as physics.dt_s=0.004 or gates.touch.duration_s=1; repeat the option for
     more. Every output names the change. If a field does not exist, the error lists those that do."""
     allow_rejected: Switch = False
-    """Use tissue whose calibration was rejected (see docs/calibration.md). Every report then says so."""
+    """Use tissue whose calibration was rejected (see docs/person.md). Every report then says so."""
 
     def load(self) -> Protocol:
         """Return the protocol with its changes.
@@ -132,7 +132,7 @@ class PhysicsGroup:
     calibrate` wrote. Repeat the option for files of other regions."""
     friction: str | None = None
     """Coefficient of friction between tool and skin in place of the tissue's: a number, or dry (0.5), wet (1.0) or
-    soapy (0.2); see docs/tissue.md for the sources. Every output names this change."""
+    soapy (0.2); see docs/person.md for the sources. Every output names this change."""
     tool: str | None = None
     """What the robot's hand wears in place of the protocol's: rigid `caps` over the fingertips, or a soft wash `mitt`.
     Every output names this change."""
@@ -161,7 +161,7 @@ class VisionGroup:
     heading: ClassVar = "vision"
     segmenter: Literal["mediapipe", "grounded-sam"] | None = None
     """Model that makes the masks of the person; default: the one in the protocol (shipped protocols: mediapipe).
-    Landmarks always come from mediapipe. See docs/perception.md."""
+    Landmarks always come from mediapipe. See docs/evidence/perception.md."""
     weights: Path | None = None
     """Folder with the weights of --segmenter grounded-sam. carecontact never downloads weights."""
 
@@ -171,7 +171,7 @@ class EngineGroup:
     heading: ClassVar = "engine"
     engine: Literal["local", "ray"] = "local"
     """Where the trials run: on this machine, or on the nodes of the Ray cluster that RAY_ADDRESS names (see
-    docs/cluster.md)."""
+    docs/machines.md)."""
     jobs: int | None = None
     """Number of trials that run at once; default: one per core, of this machine or of the cluster. A policy's server
     gets as many connections."""
@@ -213,7 +213,7 @@ class ArgumentsGroup:
     of a run store its name, not its value."""
     policy_read: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH")] = ()
     """File or folder that the isolated policy may read besides its own folder, its arguments and the installed
-    packages. Repeat the option for more. The recordings of a run name it (see docs/threat-model.md)."""
+    packages. Repeat the option for more. The recordings of a run name it (see docs/trust.md)."""
     policy_write: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH")] = ()
     """File or folder that the isolated policy may read and write besides its temporary folder. Repeat the option for
     more. The recordings of a run name it."""
@@ -223,7 +223,7 @@ class ArgumentsGroup:
 class PolicyGroup(ArgumentsGroup):
     language: str | None = None
     """Language backend: rules-v1, replay:FILE.jsonl or live:MODEL, as far as the policy supports it (see
-    docs/language.md); default: the policy's own choice."""
+    docs/evidence/methods.md); default: the policy's own choice."""
     record: Path | None = None
     """File to which carecontact appends the answers of the model of --language live:MODEL, so that --language
     replay:FILE.jsonl can repeat them."""

@@ -155,7 +155,7 @@ def _bodies(protocol: str) -> list[tuple[str, str]]:
         )
         for body in map(load_body, body_names())
     ]
-    return [*rows, ("smplx:FILE.npz?sex=F", "Your own SMPL-X model; see docs/bodies.md.")]
+    return [*rows, ("smplx:FILE.npz?sex=F", "Your own SMPL-X model; see docs/person.md.")]
 
 
 def _tissue(protocol: str) -> list[tuple[str, str]]:
@@ -163,7 +163,7 @@ def _tissue(protocol: str) -> list[tuple[str, str]]:
 
     loaded = {name: load_tissue_set(name) for name in shipped_tissue_sets()}
     rows = [(name, f"{s.description} sha256 {s.sha256[:12]}") for name, s in loaded.items()]
-    return [*rows, ("FILE.toml", "Your own tissue, as carecontact calibrate writes it; see docs/calibration.md.")]
+    return [*rows, ("FILE.toml", "Your own tissue, as carecontact calibrate writes it; see docs/person.md.")]
 
 
 def _metrics(protocol: str) -> list[tuple[str, str]]:

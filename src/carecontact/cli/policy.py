@@ -254,7 +254,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     if level == "none":
         print(
             f"warning: {setup.ref} runs without isolation: {why}; run policies that you do not trust on another host "
-            "(docs/threat-model.md)",
+            "(docs/trust.md)",
             flush=True,
         )
     return card

@@ -28,7 +28,7 @@ from carecontact.report.sweep_table import Stability
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Median
 
-# Counts and medians over trials, as `results.json` has them (docs/scoring.md).
+# Counts and medians over trials, as `results.json` has them (docs/scores.md).
 
 
 class Rate(Part):
@@ -47,6 +47,11 @@ class Exceedance(Rate):
     """Number of these trials that are successful."""
 
 
+class HarmlessRate(Rate):
+    of: int
+    """Number of trials with at least 1 s of contact on the named region, of which the percentages are."""
+
+
 class Summary(Part):
     """Counts and medians over the trials with a verdict."""
 
@@ -60,6 +65,7 @@ class Summary(Part):
     pc_success_ci95: tuple[float, float]
     region_correct: Rate
     safety_gated: Rate
+    harmless: HarmlessRate
     valid_contact: Rate
     valid_ratio: Rate
     """Share of the trials that have a trajectory to score."""

@@ -52,7 +52,7 @@ class Run:
 
     policy: str | None = None
     """One of: a name from `carecontact list policies`; a module:Class that can be imported from the current folder; or
-    ws://HOST:PORT, the address of a policy's server (see docs/wire.md; docs/dialects.md for other projects'
+    ws://HOST:PORT, the address of a policy's server (see docs/your-policy.md; docs/vla.md for other projects'
     servers)."""
     demo: Switch = False
     """Without --policy: run the seven tasks once with state-machine into runs/demo, in place of an earlier demo, and
@@ -76,7 +76,7 @@ class Run:
     change."""
     pace: float | None = None
     """Wall time for each control period [s], as the policy sees it: the next observation leaves when it has passed,
-    however soon it is ready, so that the time reveals no contact (see docs/threat-model.md). It must be longer than the
+    however soon it is ready, so that the time reveals no contact (see docs/trust.md). It must be longer than the
     simulation of a period and the rendering take."""
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then

@@ -16,7 +16,7 @@ from carecontact.errors import ConfigError
 @dataclass(frozen=True, kw_only=True)
 class Serve:
     """Serve a policy to `carecontact run --policy ws://HOST:PORT` on another host, until Ctrl-C. Every trial that
-    connects gets a process of its own. Anyone who reaches the port may use it: see docs/threat-model.md."""
+    connects gets a process of its own. Anyone who reaches the port may use it: see docs/trust.md."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """Name from `carecontact list policies`, or module:Class, importable from the current folder."""

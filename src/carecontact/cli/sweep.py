@@ -74,7 +74,7 @@ def store(folder: Path, *, rescore: bool, scorer: Scorer | None = None) -> None:
 class Sweep:
     """Run every policy of a plan under every combination of its axes, such as bodies, tissues and stiffnesses, and
     write one table: which policy is better where, and whether their order holds. The same command, given again, runs
-    only what is missing (see docs/cluster.md)."""
+    only what is missing (see docs/machines.md)."""
 
     plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PLAN.toml")]
     """File with the policies, the axes, the tasks and the seeds."""
@@ -95,7 +95,7 @@ class Sweep:
     retry_failed: Switch = False
     """Run again the trials in which the policy crashed or the harness failed."""
     allow_rejected: Switch = False
-    """Use tissue whose calibration was rejected (see docs/calibration.md). Every report then says so."""
+    """Use tissue whose calibration was rejected (see docs/person.md). Every report then says so."""
     dry_run: Switch = False
     """Print the cells and how many of their trials are recorded, and run nothing."""
     table_only: Switch = False

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Self, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from carecontact.episode.drivers import Driver, driver_of
 from carecontact.episode.foam import Foam
@@ -48,6 +49,7 @@ from carecontact.interface.robot import CARTESIAN_IMPEDANCE, Session
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording.provenance import ARITHMETIC, DECLARED, RENDERER, arithmetic, trial_versions
 from carecontact.recording.schema import SEGMENTS, EndReason, Failure, Header, Recording
+from carecontact.scoring.foam import ENDS_S
 from carecontact.scoring.online import NEEDED, Progress, progress_of
 from carecontact.sensing.builder import ObservationBuilder, RawReadings
 from carecontact.sensing.calibration import CameraPoses
@@ -113,7 +115,8 @@ class Episode:
             record: whether the trial is recorded; without a recording, a step takes less time.
 
         Raises:
-            ConfigError: the protocol has no such task, or both ``prepare`` and ``worlds`` are given.
+            ConfigError: ``spec`` is no trial, its protocol has no such task, its seed is no integer of at least 0, or
+                both ``prepare`` and ``worlds`` are given.
             SceneError, SettleError: the world cannot be built.
         """
         if prepare is not None and worlds is not None:
@@ -133,9 +136,7 @@ class Episode:
     def _begin(self, spec: TrialSpec) -> None:
         """Make the trial of ``spec`` the one of this episode, at t = 0 and before its first observation."""
         started = time.monotonic()
-        ids = [task.id for task in spec.protocol.tasks]
-        if spec.task_id not in ids:
-            raise ConfigError(f"no task {spec.task_id!r} in {spec.protocol.id}; valid: {', '.join(ids)}")
+        _check(spec)
         self.spec, self.task, self._fresh = spec, spec.protocol.task(spec.task_id), False
         self._driver: Driver | None = None
         self._builder: ObservationBuilder | None = None
@@ -252,8 +253,9 @@ class Episode:
             spec: another trial than the last one; by default the same again, equal to the last bit.
 
         Raises:
-            ConfigError: the card is not set, the episode is closed, or the protocol has no such task.
-            SceneError, SettleError: the world cannot be built.
+            ConfigError: the card is not set, the episode is closed, or ``spec`` is wrong as in the constructor; the
+                episode is then as it was.
+            SceneError, SettleError: the world cannot be built, and no step is possible before another reset.
         """
         if self.card is None or self._closed:
             raise ConfigError("Episode.reset: set the card first, and call it inside its with")
@@ -297,24 +299,48 @@ class Episode:
 
     def progress(self) -> Progress:
         """Return how far the trial has come toward the gate of its task, by the rules of the score: for rewards, in an
-        episode that is ``privileged`` from its ``reset`` on.
+        episode that is ``privileged``; in any other one, after its end.
 
-        Raises ConfigError for another episode, and before the first step.
+        Raises ConfigError before that, and where nothing was measured (``measured``).
         """
-        if not self.privileged or not self._done_steps:
+        if not self.measured or not (self.privileged or self._ended is not None):
             raise ConfigError(
                 "Episode.progress: it knows what no policy may know; set episode.privileged = True before reset(), "
-                "which recordings then say, and call it after a step"
+                "which recordings then say, and call it after a step, or call it after the end"
             )
+        ended = Ended("time_limit") if self._ended is None else self._ended
         header = Header.model_construct(
             spec=self.spec,
-            ended="time_limit",
-            failure=None,
+            ended=ended.reason,
+            failure=ended.failure,
             segments=list(SEGMENTS),
             regions=list(self.protocol.regions),
             human_joints=self.simulation.joint_names,
         )
         return progress_of(Recording.trusted(header, self.log.measured(NEEDED)))
+
+    @property
+    def ended(self) -> bool:
+        """Whether the trial has ended."""
+        return self._ended is not None
+
+    @property
+    def measured(self) -> bool:
+        """Whether a control period of the trial was measured; not where the benchmark stopped it in its first one."""
+        return self.log.measures
+
+    def force(self) -> npt.NDArray[np.float64]:
+        """Return the force (S, 3) [N] of the robot on each segment in the world, mean over the last period of the
+        card's control rate; zeros before the first. Raises ConfigError for an episode that is not ``privileged``."""
+        if not self.privileged or self.card is None:
+            raise ConfigError("Episode.force: no policy may know it; set episode.privileged = True before reset()")
+        return self.log.mean_force(round(1.0 / (self.card.control_hz * self.protocol.physics.dt_s)))
+
+    def picture(self, camera: str) -> npt.NDArray[np.uint8]:
+        """Return what a camera sees now (H, W, 3), for people who watch. Raises SceneError for an unknown camera."""
+        self.simulation.refresh()
+        self._foam.show()
+        return self._renderer.rgb(self.simulation.data, camera)
 
     def answered(self, *, sent_sha256: bytes | None = None, notes: Mapping[str, object] | None = None) -> None:
         """Record that the policy has answered the pending observation; ``step`` does so by itself.
@@ -492,22 +518,22 @@ class Episode:
             steps -= count
             if (stopped := self._unrecorded(samples)) is not None:
                 return stopped
-            row = {
-                "scorer/period_time_s": simulation.time_s,
-                "scorer/indentation_m": simulation.indentation(),
-                "scorer/target_in_base": simulation.control.target_in_base,
-            }
-            felt = self._person.period()
+            felt = self._person.period() if self._record or self._foam.wiped else {}
             self._foam.add(simulation.time_s, samples, felt)
             force_n = np.concatenate([lengths(s.force) for s in samples])
             if self._record:
+                row = {
+                    "scorer/period_time_s": simulation.time_s,
+                    "scorer/indentation_m": simulation.indentation(),
+                    "scorer/target_in_base": simulation.control.target_in_base,
+                }
                 self.log.add_period(samples, row | felt)
                 if self.log.wants_state(simulation.time_s):
                     self.log.add_state(simulation.time_s, simulation.integration_state())
                 self._peak.look(force_n)
             elif self.privileged:
                 # All that progress toward the gate needs.
-                self.log.add_period(samples, {})
+                self.log.add_period(samples, {ENDS_S: simulation.time_s} | felt if self._foam.wiped else {})
             over = force_n > self._most_n
             if over.any():
                 step, segment = np.argwhere(over)[0]
@@ -534,6 +560,20 @@ class Episode:
             return None
         speed = f"the tool moved at {fastest:.2f} m/s"
         return _stopped("tool_speed", f"{speed}, and the robot stops itself above {most:.2f} m/s")
+
+
+def _check(spec: object) -> None:
+    """Raises ConfigError for what is no trial, before anything of the present one has changed."""
+    if not isinstance(spec, TrialSpec):
+        raise ConfigError(
+            f"Episode: expected a TrialSpec, got {spec!r:.80}; another trial of the same protocol is "
+            "episode.spec.model_copy(update={'task_id': ..., 'seed': ...})"
+        )
+    ids, seed = [task.id for task in spec.protocol.tasks], cast(object, spec.seed)
+    if spec.task_id not in ids:
+        raise ConfigError(f"no task {spec.task_id!r} in {spec.protocol.id}; valid: {', '.join(ids)}")
+    if not isinstance(seed, int) or seed < 0:
+        raise ConfigError(f"TrialSpec.seed: expected an integer of at least 0, got {seed!r:.80}")
 
 
 def _stopped(kind: str, message: str) -> Ended:

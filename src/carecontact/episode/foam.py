@@ -40,6 +40,11 @@ class Foam:
             self._shown = np.ones(len(self._patch.cell_share))
             self._paint(self._patch)
 
+    @property
+    def wiped(self) -> bool:
+        """Whether there is any foam."""
+        return self._wiping is not None
+
     def add(self, time_s: float, samples: list[Samples], felt: Arrays) -> None:
         """Add the control period that ends at ``time_s``. ``felt``: what its row of the recording says of the cells."""
         if self._wiping is None:

@@ -16,7 +16,8 @@ from carecontact.episode.foam import foam_arrays
 from carecontact.errors import PolicyError
 from carecontact.interface.observation import Observation
 from carecontact.recording.pictures import KEPT, PictureLog
-from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, empty_arrays
+from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, SEGMENTS, empty_arrays
+from carecontact.scoring.foam import ENDS_S, FELT, SHARE
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.tissue.plugin import Cells, Law
 
@@ -143,6 +144,7 @@ class TrialLog:
         """Array path -> its rows so far."""
         self._observations = self._notes_bytes = self._notes_count = 0
         self._pictures = PictureLog()
+        self._grown, self._seen = dict[str, _Grown](), 0
         self.extra: Arrays = {}
         """Optional arrays, by their path."""
 
@@ -231,8 +233,34 @@ class TrialLog:
         return out | self.extra | self._pictures.arrays()
 
     def measured(self, paths: Iterable[str]) -> Arrays:
-        """Return these arrays of STREAMS so far, those of BESIDE, and what holds for the whole trial."""
-        return self._fixed | self._streams(paths)
+        """Return these arrays of STREAMS so far, those of BESIDE, what holds for the whole trial, and where there is
+        foam, what wiping it follows from. Of STREAMS, what was there at the last call is not gathered again."""
+        if self._samples:
+            beside = any(sample.beside_normal is not None for sample in self._samples[self._seen :])
+            self._seen = len(self._samples)
+            for path in paths:
+                self._grown.setdefault(path, _Grown(path, STREAMS[path])).extend(self._samples)
+            for path, name in BESIDE.items():
+                if beside or path in self._grown:
+                    self._grown.setdefault(path, _Grown(path, name)).extend(self._samples)
+        wiped = (ENDS_S, *FELT) if SHARE in self._fixed else ()
+        rows = {path: np.array(self._rows[path], _dtype(path)) for path in wiped if self._rows[path]}
+        return self._fixed | {path: grown.rows for path, grown in self._grown.items()} | rows
+
+    @property
+    def measures(self) -> bool:
+        """Whether there is any sample."""
+        return bool(self._samples)
+
+    def mean_force(self, steps: int) -> npt.NDArray[np.float64]:
+        """Return the mean force (S, 3) [N] of the last physics steps, or of all where there are fewer."""
+        total, left = np.zeros((len(SEGMENTS), 3)), steps
+        for sample in reversed(self._samples):
+            taken = sample.force[-left:]
+            total, left = total + taken.sum(0), left - len(taken)
+            if left <= 0:
+                break
+        return total / max(1, steps - left)
 
     def _streams(self, paths: Iterable[str]) -> Arrays:
         out: Arrays = {}
@@ -246,6 +274,37 @@ class TrialLog:
             filled = [np.zeros((count, *shape)) if block is None else block for count, block in blocks]
             out[path] = np.concatenate(filled).astype(_dtype(path))
         return out
+
+
+class _Grown:
+    """One stream in an array that doubles when it is full."""
+
+    def __init__(self, path: str, name: str) -> None:
+        """``name``: field of ``Samples``."""
+        self._path, self._name, self._taken, self._count = path, name, 0, 0
+        self._array: npt.NDArray[Any] | None = None
+
+    @property
+    def rows(self) -> npt.NDArray[Any]:
+        assert self._array is not None
+        return self._array[: self._count]
+
+    def extend(self, samples: Sequence[Samples]) -> None:
+        """Add those that came since the last call. A field that is None stands for zeros."""
+        blocks = [(len(s.time_s), getattr(s, self._name)) for s in samples[self._taken :]]
+        self._taken = len(samples)
+        end = self._count + sum(length for length, _ in blocks)
+        if self._array is None:
+            shape = next(block.shape[1:] for _, block in blocks if block is not None)
+            self._array = np.zeros((end, *shape), _dtype(self._path))
+        elif end > len(self._array):
+            wider = np.zeros((2 * end, *self._array.shape[1:]), self._array.dtype)
+            wider[: self._count] = self._array[: self._count]
+            self._array = wider
+        for length, block in blocks:
+            if block is not None:
+                self._array[self._count : self._count + length] = block
+            self._count += length
 
 
 def _dtype(path: str) -> str:

@@ -193,7 +193,8 @@ def _decisive(protocol: Protocol, variations: Sequence[Variation]) -> dict[str, 
     sections = {"physics", "phases", "scene", "impedance", "cameras"}
     drawn = {"bodies", "shoulder_rotation_deg", "palm_deg"}
     return {
-        **protocol.model_dump(mode="json", include=sections),
+        # How large a camera's pictures are decides nothing.
+        **protocol.model_dump(mode="json", include=sections, exclude={"cameras": {"__all__": {"width", "height"}}}),
         "drawn_as": protocol.drawn_as,
         "person": _still(protocol).person.model_dump(mode="json"),
         "comfort_arm_deg": protocol.randomization.comfort_arm_deg,

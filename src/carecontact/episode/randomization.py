@@ -10,7 +10,7 @@ import numpy as np
 
 from carecontact.cache import Arrays, cached
 from carecontact.episode.placed_persons import placed_person, posed
-from carecontact.human.foam import lay_foam
+from carecontact.human.foam import lay_dressing, lay_foam
 from carecontact.human.skin import draw_appearance, set_appearance
 from carecontact.human.soft_region import draw_tissue
 from carecontact.interface.robot import Control
@@ -26,6 +26,7 @@ from carecontact.world.randomization import (
     Place,
     arm_bias_of,
     body_of,
+    clutter_of,
     draw_motion_script,
     move_person,
     overhead_of,
@@ -36,7 +37,7 @@ from carecontact.world.randomization import (
     streams,
     words,
 )
-from carecontact.world.room import draw_light, set_light
+from carecontact.world.room import TOWEL, TOWEL_HALF_M, draw_light, set_light
 from carecontact.world.scene import Scene, build_scene, controlled, copy_settings
 
 OF_PERSON = ("body", "shoulder_rotation_deg", "palm_deg")
@@ -110,7 +111,8 @@ def without_draws(protocol: Protocol) -> Protocol:
 
 
 def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
-    """Give a compiled scene the appearance and light that its protocol varies with the seed; the physics is unchanged.
+    """Give a compiled scene the appearance and light that its protocol varies with the seed, and its distractors; the
+    physics is unchanged.
 
     Call it once, before the first image.
     """
@@ -119,6 +121,14 @@ def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
         set_appearance(scene.model, scene.body, draw_appearance(stream["appearance"]))
     if protocol.variation.light == "varied-v1":
         set_light(scene.model, draw_light(stream["light"]))
+    clutter = clutter_of(protocol, seed, salt)
+    if protocol.distractors is not None and clutter is not None:
+        towel = scene.model.geom(TOWEL)
+        towel.pos[:] = *clutter.towel_at_m, protocol.scene.mattress_top_m + TOWEL_HALF_M
+        towel.quat[:] = np.cos(clutter.towel_turn_rad / 2), 0.0, 0.0, np.sin(clutter.towel_turn_rad / 2)
+        towel.rgba[:3] = np.array(clutter.towel_colour) / 255
+        half_m, colour = protocol.distractors.dressing_m, clutter.dressing_colour
+        lay_dressing(scene.model, scene.body, clutter.segment, along=clutter.along, half_m=half_m, colour=colour)
 
 
 def with_foam(scene: Scene, task_id: str, seed: int, *, salt: str = "") -> Scene:

@@ -50,10 +50,11 @@ class Worlds:
             prepare: builds a world at t = 0; by default ``settled_world``.
 
         Raises:
-            ConfigError: ``most`` is negative.
+            ConfigError: ``most`` is no integer of at least 0.
         """
-        if most < 0:
-            raise ConfigError(f"Worlds.most: expected at least 0, got {most}")
+        given: object = most
+        if not isinstance(given, int) or given < 0:
+            raise ConfigError(f"Worlds.most: expected an integer of at least 0, got {given!r:.80}")
         self.most = most
         self._prepare = prepare or _settled
         self._kept: OrderedDict[Key, KeptWorld] = OrderedDict()

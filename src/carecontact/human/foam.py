@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.human.body import Array, Body
-from carecontact.human.skeleton import RegionFrame
+from carecontact.human.skeleton import RegionFrame, upward_in_bind
 from carecontact.human.skin import TEXTURE_SIZE
 from carecontact.human.soft_region import SoftRegion
 
@@ -80,11 +80,9 @@ class FoamPatch:
         return np.rint((1 - share) * self.skin + share * np.array(self.colour)).astype(np.uint8)
 
     def paint(self, model: mujoco.MjModel, left: Array | None = None) -> None:
-        """Write the foam into a compiled model's texture; whoever draws it uploads the texture again. ``left``: as in
+        """Write the foam into a compiled model's texture; the caller uploads the texture again. ``left``: as in
         ``colours``; None: all of it."""
-        start = int(model.tex_adr[model.texture("human_skin").id])
-        texture = model.tex_data[start : start + 3 * TEXTURE_SIZE**2].reshape(-1, 3)
-        texture[self.texel] = self.colours(np.ones(len(self.cell_share)) if left is None else left)
+        _texture(model)[self.texel] = self.colours(np.ones(len(self.cell_share)) if left is None else left)
 
 
 def lay_foam(model: mujoco.MjModel, body: Body, region: SoftRegion, frame: RegionFrame, spot: Spot) -> FoamPatch:
@@ -112,14 +110,9 @@ def lay_foam(model: mujoco.MjModel, body: Body, region: SoftRegion, frame: Regio
     covered = areas * (_radius(middles, middle, axes, spot.half_m) < 1)
     cells = region.cells
     share = np.bincount(cells.of_triangle[on_cell], covered[on_cell], len(cells.areas)) / cells.areas
-    texel, points = _texels_near(body, frame.origin + frame.axes @ middle, max(spot.half_m) + EDGE_M)
-    radius = _radius((points - frame.origin) @ frame.axes, middle, axes, spot.half_m)
-    strength = np.clip(0.5 + (1 - radius) * min(spot.half_m) / EDGE_M, 0, 1)
-    there = strength > 0
-    texel, points, strength = texel[there], points[there], strength[there]
+    at_bind, axes_bind = frame.origin + frame.axes @ middle, frame.axes @ axes
+    texel, points, strength = _covered_texels(body, at_bind, axes_bind, spot.half_m)
     nearest = np.linalg.norm(points[:, None] - cells.centres[None], axis=2).argmin(1)
-    start = int(model.tex_adr[model.texture("human_skin").id])
-    skin = model.tex_data[start : start + 3 * TEXTURE_SIZE**2].reshape(-1, 3)[texel].copy()
     patch = FoamPatch(
         middle=middle,
         axes=axes,
@@ -129,10 +122,50 @@ def lay_foam(model: mujoco.MjModel, body: Body, region: SoftRegion, frame: Regio
         texel=texel,
         strength=strength,
         cell=nearest,
-        skin=skin,
+        skin=_texture(model)[texel].copy(),
     )
     patch.paint(model)
     return patch
+
+
+def lay_dressing(
+    model: mujoco.MjModel, body: Body, segment: str, *, along: float, half_m: tuple[float, float], colour: Rgb
+) -> None:
+    """Paint a dressing onto the side of a limb that faces up, before any foam is laid.
+
+    Args:
+        along: place of its middle, as a share of the way from the segment's joint to the next one.
+        half_m: half length along the limb and half width across it.
+    """
+    up, way, joint = upward_in_bind(body, segment), body.axis_vector(segment), body.joint_centre[segment]
+    ahead = way - (way @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    axes = np.stack([ahead, np.cross(up, ahead), up], 1)
+    skin = body.vertices_of(segment)
+    off = (skin - joint - along * way) @ axes
+    above = off[:, 2] > 0
+    middle = skin[above][np.linalg.norm(off[above, :2], axis=1).argmin()]
+    texel, _, strength = _covered_texels(body, middle, axes, half_m)
+    texture, share = _texture(model), strength[:, None]
+    texture[texel] = np.rint((1 - share) * texture[texel] + share * np.array(colour)).astype(np.uint8)
+
+
+def _texture(model: mujoco.MjModel) -> npt.NDArray[np.uint8]:
+    """Return the skin's texels (TEXTURE_SIZE^2, 3) of a compiled model, to be changed in place."""
+    start = int(model.tex_adr[model.texture("human_skin").id])
+    return model.tex_data[start : start + 3 * TEXTURE_SIZE**2].reshape(-1, 3)
+
+
+def _covered_texels(
+    body: Body, middle: Array, axes: Array, half_m: tuple[float, float]
+) -> tuple[Indices, Array, Array]:
+    """Return the texels (K,) under a patch, their places (K, 3), and the share (K,) of the patch's colour in each.
+    ``middle``, ``axes``: (3,) and (3, 3) in the mesh frame."""
+    texel, points = _texels_near(body, middle, max(half_m) + EDGE_M)
+    radius = _radius(points, middle, axes, half_m)
+    strength = np.clip(0.5 + (1 - radius) * min(half_m) / EDGE_M, 0, 1)
+    there = strength > 0
+    return texel[there], points[there], strength[there]
 
 
 def _on_surface(at: Array, normals: Array, place: tuple[float, float]) -> tuple[Array, Array]:

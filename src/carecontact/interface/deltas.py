@@ -151,6 +151,16 @@ DELTAS.register(
         rotation="euler_xyz",
     ),
 )
+DELTAS.register(
+    "learn",
+    DeltaConvention(
+        description="The environments for learning: 1 is 25 mm and 0.1 rad, added to the last target.",
+        origin="target",
+        # At 10 Hz, as fast as a target moves: 0.25 m/s and 1 rad/s.
+        unit=(0.025, 0.1),
+        most=(1.0, 1.0),
+    ),
+)
 for _frame in ("base", "tool"):
     DELTAS.register(
         f"metres-{_frame}",

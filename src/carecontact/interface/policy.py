@@ -26,7 +26,7 @@ IMPORTABLE, REMOTE = "module:Class", "ws://HOST:PORT"
 """How an imported policy and one on the native wire are written."""
 Scheme = Literal["ws", "openpi", "roboarena", "vla-eval"]
 SCHEMES: tuple[str, ...] = get_args(Scheme)
-"""``ws`` is the native wire; the others are dialects (docs/dialects.md)."""
+"""``ws`` is the native wire; the others are dialects (docs/vla.md)."""
 OPTIONS: dict[str, tuple[str, ...]] = {
     "ws": (),
     "openpi": ("profile", "horizon", "exterior", "orientation"),

@@ -165,7 +165,7 @@ no rims and no flat sides: the compiled tissue meets it in one point of each tri
 skin slides over it."""
 
 PILE_M3_N, FOAM_M3_N = 4e-7, 1e-7
-"""[m/Pa] How far pile and foam of the wash mitt give way under pressure. docs/tissue.md says what is from sources.
+"""[m/Pa] How far pile and foam of the wash mitt give way under pressure; docs/evidence/tissue.md has the sources.
 
 The pile is terry cloth of 4 mm; piles are 2.5 to 9 mm high. It gives way by half, 2 mm, under 5 kPa, the largest
 pressure of the textile industry's test of compression (KES-FB3). That half is assumed.

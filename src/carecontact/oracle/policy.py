@@ -13,12 +13,13 @@ from carecontact.errors import ConfigError, ContractError
 from carecontact.interface.action import Action
 from carecontact.interface.action_spaces import clip_action
 from carecontact.interface.body_view import RegionGeometry
+from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard, PolicyRef
 from carecontact.interface.robot import ActionBounds
-from carecontact.oracle.truth import Follower, Truth, hold
+from carecontact.oracle.truth import Foamed, Follower, Truth, hold
 from carecontact.policies import state_machine as fixed
-from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, UP, Leg, sample, travel
+from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, NEAR_SPEED_M_S, UP, Leg, sample, travel
 from carecontact.policies.registry import is_privileged
 from carecontact.policies.state_machine import PlanningFailure, push, reachable, scrub, touch, travel_height
 from carecontact.protocol.gates import Task
@@ -90,10 +91,18 @@ class _Motion:
 class Press(_Motion):
     """A touch or a scrub on the state machine's path, which moves with the skin, at a chosen force."""
 
-    def __init__(self, truth: Truth, plan: Sequence[Stage], *, rests: bool) -> None:
-        """``rests``: whether the tool stays where it came down until the force has been steady."""
+    def __init__(
+        self, truth: Truth, plan: Sequence[Stage], *, rests: bool, down: F64 = -UP, force_n: float = FORCE_N
+    ) -> None:
+        """
+        Args:
+            rests: whether the tool stays where it came down until the force has been steady.
+            down: (3,) unit vector in which the tool presses.
+            force_n: that is held.
+        """
         super().__init__(truth, self._run(plan, rests))
-        self._waited = 0
+        self._waited, self._down, self._force_n = 0, down, force_n
+        self._across = np.eye(3) - np.outer(down, down)
 
     @property
     def succeeded(self) -> bool:
@@ -109,9 +118,9 @@ class Press(_Motion):
             place = self._follower.follow(stage.pose[:3])
             waits = False
             if stage.presses:
-                depth_m = float(np.clip(depth_m + GAIN_M_NS * (FORCE_N - force) / CONTROL_HZ, 0.0, DEEPEST_M))
+                depth_m = float(np.clip(depth_m + GAIN_M_NS * (self._force_n - force) / CONTROL_HZ, 0.0, DEEPEST_M))
                 lead_m = lead_m + SMOOTHING * (self._friction_m() - lead_m)
-                place = place - depth_m * UP + lead_m
+                place = place + depth_m * self._down + lead_m
                 steady = steady + 1 if LEAST_N <= force <= MOST_PRESS_N else 0
                 longest = max(longest, steady)
                 unsteady = at == rests_until and longest < STEADY_S * CONTROL_HZ
@@ -122,8 +131,8 @@ class Press(_Motion):
             yield np.concatenate([place, stage.pose[3:]])
 
     def _friction_m(self) -> F64:
-        """Return the horizontal vector (3,) [m] by which friction holds the tool back from its target."""
-        lag = self._truth.force() * [1, 1, 0] / self._truth.simulation.protocol.impedance.translational_n_m
+        """Return the vector (3,) [m] along the skin by which friction holds the tool back from its target."""
+        lag = self._truth.force() @ self._across / self._truth.simulation.protocol.impedance.translational_n_m
         return lag * min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(lag)), 1e-9))
 
 
@@ -250,13 +259,19 @@ class Oracle:
             return Push(truth, legs, start)
         if self._task.action not in ("touch", "scrub"):
             raise PlanningFailure(f"the oracle has no primitive for the action {self._task.action}")
+        rests = self._task.action == "touch"
+        if (spot := truth.spot()) is not None:
+            legs = self._held(_at_foam(spot, self._task.action), list(spot.ways()))
+            plan = stages(travel(start, legs, travel_height_m=height), start)
+            down = matrix_from_quat(legs[0].quat_wxyz)[:, 2]
+            return Press(truth, plan, rests=rests, down=down, force_n=FORCE_N if rests else WASH_N)
         contact = self._held(_pressed(geometry, self._task.action))
         plan = stages(travel(start, contact, travel_height_m=height), start)
-        return Press(truth, plan, rests=self._task.action == "touch")
+        return Press(truth, plan, rests=rests)
 
-    def _held(self, contact: Sequence[Leg]) -> list[Leg]:
-        """Turn the hand of a motion so that it keeps clear of the rest of the person."""
-        held = hold(self._simulation, self._task.region, _places(contact))
+    def _held(self, contact: Sequence[Leg], ways: Sequence[F64] = ()) -> list[Leg]:
+        """Turn the hand of a motion so that it keeps clear of the rest of the person. ``ways``: as in ``hold``."""
+        held = hold(self._simulation, self._task.region, _places(contact), ways)
         clear_mm = round(1000 * held.clear_m, 1)
         self._notes |= {"hand_quat_wxyz": held.quat_wxyz.round(4).tolist(), "hand_clear_mm": clear_mm}
         self._notes["hand_reaches"] = held.reached
@@ -272,6 +287,46 @@ def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
     legs = scrub(_with_room(geometry), key_point=0.5, depth_m=0.0, speed_m_s=fixed.SCRUB_SPEEDS_M_S[0])
     *contact, back, forth, up = (replace(leg, hold_s=DWELL_S) if leg.hold_s else leg for leg in legs)
     return [*contact, *(back, forth) * STROKES, up]
+
+
+WASH_N = 4.0
+"""Force [N] with which foam is wiped: the middle of the 1 to 8 N of a scrub, and more than a touch has."""
+LANES_M = (-0.010, 0.0, 0.010)
+"""Where the strokes over foam lie across it [m]."""
+LANE_PASSES = 3
+"""As many as a cell needs to be clean (``scoring.foam.PASSES``)."""
+REACH_M = 0.016
+"""How far short of the foam's end a stroke ends: the mitt reaches that far and more."""
+
+
+WIPE_M_S = 0.06
+"""Speed of a stroke over foam: at the usual 70 mm/s the force rises on the slope of a flank before the loop lowers
+it."""
+WIPE_DWELL_S = 0.4
+
+
+def _at_foam(spot: Foamed, action: str) -> list[Leg]:
+    """A touch of the foam's middle, or strokes along it, side by side, with the hand as yet unturned."""
+    quat, middle = np.array([0.0, 1.0, 0.0, 0.0]), spot.surface(np.zeros(2))
+    over = Leg.to(middle + fixed.HOVER_M * spot.out(), quat, FREE_SPEED_M_S)
+    if action == "touch":
+        down = Leg.to(middle, quat, fixed.DESCENT_SPEED_M_S, hold_s=fixed.TOUCH_DWELL_S)
+        return [over, down, Leg.to(over.points[-1], quat, NEAR_SPEED_M_S)]
+    half = spot.half_m[0] - REACH_M
+    along = np.linspace(-half, half, 2 * int(np.ceil(half / fixed.SCRUB_STEP_M)) + 1)
+    legs, way = list[Leg](), 1
+    for lane in LANES_M:
+        stroke = np.array([spot.surface(np.array([s, lane])) for s in along])[::way]
+        legs.append(Leg.to(stroke[0], quat, fixed.DESCENT_SPEED_M_S, hold_s=WIPE_DWELL_S))
+        for _ in range(LANE_PASSES):
+            legs.append(Leg(points=stroke[1:], quat_wxyz=quat, speed_m_s=WIPE_M_S, hold_s=WIPE_DWELL_S))
+            stroke, way = stroke[::-1], -way
+    first, last = legs[0].points[-1], legs[-1].points[-1]
+    return [
+        Leg.to(first + fixed.HOVER_M * spot.out(), quat, FREE_SPEED_M_S),
+        *legs,
+        Leg.to(last + fixed.HOVER_M * spot.out(), quat, NEAR_SPEED_M_S),
+    ]
 
 
 def _with_room(geometry: RegionGeometry) -> RegionGeometry:

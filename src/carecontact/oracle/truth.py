@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import ContractError
+from carecontact.human.hulls import PLATES
 from carecontact.human.skeleton import body_name
 from carecontact.interface.body_view import RegionGeometry
 from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
@@ -17,6 +18,7 @@ from carecontact.interface.regions import REGIONS, LimbSight
 from carecontact.policies.motion import CONTROL_HZ, UP, slerp, tool_quat
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.state import skin_in_world
+from carecontact.world.scene import plate_sensor
 
 F64 = npt.NDArray[np.float64]
 
@@ -42,7 +44,9 @@ class Truth:
             raise ContractError(f"the oracle knows soft regions that lie between joints; {region} is none")
         self.simulation, self.region = simulation, region
         self._tissue = simulation.tissue[region]
-        self._net = simulation.history.columns[f"net_{REGIONS[region].segment}"]
+        segment, columns = REGIONS[region].segment, simulation.history.columns
+        plates = [f"net_{plate_sensor(plate.name)}" for plate in PLATES if plate.segment == segment]
+        self._nets = [columns[name] for name in (f"net_{segment}", *plates)]
 
     def frame(self) -> F64:
         """(4, 4) pose of the region's frame, which moves with the bone and with breathing."""
@@ -54,12 +58,13 @@ class Truth:
         return self._in_base(self.simulation.data.body(body_name("right_hand")).xpos[None])[0]
 
     def force(self) -> F64:
-        """(3,) the robot's force [N] on the region's segment, soft shell and rigid core together: the mean of the last
-        control period."""
+        """(3,) the robot's force [N] on the region's segment, soft shell, rigid core and plates together: the mean of
+        the last control period."""
         if self.simulation.time_s == 0.0:
             return np.zeros(3)
         period = self.simulation.history.samples
-        rigid = self.simulation.history.last(self.simulation.data, period)[1][:, self._net][:, :3]
+        values = self.simulation.history.last(self.simulation.data, period)[1]
+        rigid = sum(values[:, net][:, :3] for net in self._nets)
         soft = self._tissue.last(self.simulation.data, period)["force_n"]
         to_base = self.simulation.encoders.in_base(self.simulation.data, np.zeros(3), np.eye(3))
         return to_base[:3, :3] @ (rigid + soft).mean(0)
@@ -111,6 +116,17 @@ class Truth:
             support_height_m=float(self._in_base(board[None])[0, 2]) if limb else None,
         )
 
+    def spot(self) -> Foamed | None:
+        """The foam on the region, where it is now; None without foam."""
+        patch = self.simulation.scene.foam
+        if patch is None:
+            return None
+        frame = self.frame()
+        axes = frame[:3, :3] @ patch.axes
+        return Foamed(
+            middle=frame[:3, :3] @ patch.middle + frame[:3, 3], axes=axes, half_m=patch.half_m, points=self.surface()
+        )
+
     def _line(self) -> tuple[F64, F64]:
         """Return the places (3,) on the skin above the ends of the region's axis, the end nearer to the trunk (abdomen:
         to the feet) first. The axis is the scorer's, as far as the region is soft.
@@ -124,6 +140,47 @@ class Truth:
     def _in_base(self, points: F64) -> F64:
         to_base = self.simulation.encoders.in_base(self.simulation.data, np.zeros(3), np.eye(3))
         return points @ to_base[:3, :3].T + to_base[:3, 3]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foamed:
+    """Foam on the skin, in the robot's base [m]."""
+
+    middle: F64
+    """(3,)"""
+    axes: F64
+    """(3, 3) columns: along the region on the skin, across it, outward"""
+    half_m: tuple[float, float]
+    points: F64
+    """(N, 3) vertices of the region's shell at rest"""
+
+    def out(self, share: float = 1.0) -> F64:
+        """(3,) unit vector against which the tool presses: leant by this share from straight up to the skin's normal,
+        and by at most MOST_LEAN_RAD."""
+        level = self.axes[:, 2] * [1, 1, 0]
+        size = float(np.linalg.norm(level))
+        lean = share * min(float(np.arctan2(size, self.axes[2, 2])), MOST_LEAN_RAD)
+        return np.cos(lean) * UP + np.sin(lean) * level / max(size, 1e-9)
+
+    def surface(self, place: F64) -> F64:
+        """(3,) the skin over a place (2,), along and across the foam."""
+        off = (self.points - self.middle) @ self.axes
+        near = np.linalg.norm(off[:, :2] - place, axis=1) < COLUMN_M
+        height = float(off[near, 2].mean()) if near.any() else 0.0
+        return self.middle + self.axes @ np.append(place, height)
+
+    def ways(self) -> Iterator[F64]:
+        """Yield orientations (4,) of the tool: along the skin's normal first and upright last, and each time with the
+        wide side of a mitt across the foam first."""
+        for share in FOAM_LEANS:
+            for yaw in np.radians(FOAM_YAWS_DEG):
+                yield tool_quat(-self.out(share), np.cos(yaw) * self.axes[:, 0] + np.sin(yaw) * self.axes[:, 1])
+
+
+MOST_LEAN_RAD = 0.6
+"""How far the hand leans at most to press against the skin's normal: the arm has room for that beside the bed."""
+FOAM_LEANS = (1.0, 0.6, 0.3, 0.0)
+FOAM_YAWS_DEG = (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90)
 
 
 def _top(points: F64, along: F64, across: F64) -> float:
@@ -198,15 +255,18 @@ class Held:
         return self.reached, self.clear_m
 
 
-def hold(simulation: Simulation, region: str, places: F64) -> Held:
+def hold(simulation: Simulation, region: str, places: F64, ways: Sequence[F64] = ()) -> Held:
     """Return how to hold the hand for touching (n, 3) ``places`` of the skin [m], given in the robot's base.
 
     Ways of holding are tried from the least turned and leant one on. The first that reaches all places and keeps
     CLEAR_M from the rest of the person is returned; if none keeps so far away, the one that keeps farthest.
+
+    Args:
+        ways: orientations (4,) that are tried in place of those.
     """
     arm = _Arm(simulation, region)
     found: list[Held] = []
-    for quat in _ways(simulation, places[0]):
+    for quat in ways or _ways(simulation, places[0]):
         found.append(arm.tried(quat, places - PRESSED_M * UP))
         if found[-1].rank == (True, CLEAR_M):
             break

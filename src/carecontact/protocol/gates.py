@@ -47,7 +47,7 @@ def registered(registry: Registry[Any]) -> Callable[[str], str]:
 
 
 # What a trial has to achieve: one table for each action. The rules that judge a trial by it are in ``scoring.actions``;
-# docs/scoring.md has the reasons and sources of the values in the shipped protocols.
+# docs/evidence/scores.md has the reasons and sources of the values in the shipped protocols.
 
 
 class TouchGate(Section):

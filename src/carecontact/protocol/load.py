@@ -154,7 +154,7 @@ def tables(rest: Table, levels: Mapping[str, Table]) -> dict[str, Table]:
 
 def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = None) -> Protocol:
     """Return a shipped protocol by id, or a TOML file by path, at one of the file's levels, where it has any;
-    docs/extending.md describes how a file inherits.
+    docs/evidence/extending.md describes how a file inherits.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """

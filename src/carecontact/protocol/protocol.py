@@ -17,6 +17,7 @@ from carecontact.protocol.sections import (
     SEGMENT_PARTS,
     ArmErrors,
     Camera,
+    Distractors,
     Foam,
     ForceLimits,
     Impedance,
@@ -167,6 +168,8 @@ class Protocol(Section):
     limits: ForceLimits
     foam: Foam | None = Field(default=None, exclude_if=absent)
     """Foam that marks where to touch and what to clean; None: there is none."""
+    distractors: Distractors | None = Field(default=None, exclude_if=absent)
+    """Things that could be taken for foam; None: there are none."""
     level: str = ""
     """Which level of its file this is; empty for a file without levels (``protocols.levels``)."""
     levels: dict[str, Level] = Field(default_factory=dict[str, Level])

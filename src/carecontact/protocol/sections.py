@@ -198,9 +198,9 @@ class Variation(Section):
     encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Standard deviation, every joint and reading on its own. The joints' speeds get noise that belongs to it
     (``sensing.builder.SPEED_PER_ANGLE``)."""
-    place_along_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    place_along_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The person, with pillow and arm board, lies elsewhere on the bed: uniform up to so far either way along it."""
-    place_across_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    place_across_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     """The same, turned about the vertical through the right shoulder (``world.randomization.Place``)."""
@@ -211,7 +211,7 @@ class Variation(Section):
     tissue: Literal["declared", "published-v1"] = "declared"
     """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
     differences between people (``world.human.spread``)."""
-    place_toward_head_m: Annotated[float | None, Field(ge=0, le=0.1)] = None
+    place_toward_head_m: Annotated[float | None, Field(ge=0, le=0.2)] = None
     """Farthest toward the head, where that is less than ``place_along_m``: patients slide down in bed, not up."""
     bodies: tuple[str, ...] = ()
     """The person is one of these: a block of as many seeds has each of them once, in an order of its own. Without any
@@ -243,12 +243,18 @@ Rgb = tuple[int, int, int]
 FOAM_COLOURS: dict[str, Rgb] = {"cyan": (0, 236, 232), "lime": (110, 235, 0), "magenta": (236, 0, 190)}
 """Colours of foam as sRGB under the default light: at least 40 in CIELAB (delta E of 1976) from every skin, garment,
 hair, linen and part of the robot, which white, pale blue and pink are not. A test measures it."""
+OTHER_COLOURS: dict[str, Rgb] = {"orange": (240, 130, 20), "yellow": (240, 205, 20), "blue": (30, 70, 220),
+                                 "red": (215, 35, 30)}  # fmt: skip
+"""Colours of things that are no foam: as saturated as foam is, and at least 40 from each of its colours."""
 
 
-def _foam_colour(name: str) -> str:
-    if name not in FOAM_COLOURS:
-        raise ValueError(f"no colour named {name!r}; valid: {', '.join(FOAM_COLOURS)}")
-    return name
+def _one_of(colours: dict[str, Rgb]) -> AfterValidator:
+    def check(name: str) -> str:
+        if name not in colours:
+            raise ValueError(f"no colour named {name!r}; valid: {', '.join(colours)}")
+        return name
+
+    return AfterValidator(check)
 
 
 class Foam(Section):
@@ -263,7 +269,7 @@ class Foam(Section):
     """Radius of the disc of every task but a scrub."""
     oval_m: tuple[Length, Length]
     """Half length along the region and half width across it of a scrub's oval."""
-    colours: Annotated[tuple[Annotated[str, AfterValidator(_foam_colour)], ...], Field(min_length=1)]
+    colours: Annotated[tuple[Annotated[str, _one_of(FOAM_COLOURS)], ...], Field(min_length=1)]
     """The seed draws one of them."""
     prompts: dict[str, str]
     """Task -> its instruction with the foam, in place of the task's own. A task that is not named has no foam."""
@@ -273,6 +279,18 @@ class Foam(Section):
         if self.along[0] > self.along[1]:
             raise ValueError(f"along: expected [low, high], low at most high, got {list(self.along)}")
         return self
+
+
+class Distractors(Section):
+    """A towel on the bed and a dressing on a limb that no task names, in strong colours that foam does not have. They
+    can be seen, and nothing else: neither has contact, and the dressing, which is painted, has no depth either."""
+
+    towel_m: tuple[Length, Length]
+    """Half length along the bed and half width across it of the folded towel beside the legs."""
+    dressing_m: tuple[Length, Length]
+    """Half length along the limb and half width across it of the dressing."""
+    colours: Annotated[tuple[Annotated[str, _one_of(OTHER_COLOURS)], ...], Field(min_length=1)]
+    """The seed draws one of them for each."""
 
 
 class Vision(Section):

@@ -73,7 +73,7 @@ REMEDIES = {
     "it; landmarks_in_base needs depth, too.",
     "'Observation' object is not subscriptable": "An observation has attributes, as in "
     "observation.cameras['overhead'].rgb.",
-    "Action.__init__() got an unexpected keyword argument": "docs/wire.md lists the fields of an Action under actions; "
+    "Action.__init__() got an unexpected keyword argument": "docs/your-policy.md lists the fields of an Action; "
     "a pose is pose_tcp_in_base.",
     "reset() takes 1 positional argument but 2 were given": "reset receives the instruction: write def reset(self, "
     "instruction).",

@@ -22,7 +22,7 @@ from carecontact.replay.panel import Story, heat, story_of
 from carecontact.replay.replay import STATE, Replay, ReplayQuality, Stretch
 from carecontact.replay.stage import FilmSkin
 from carecontact.world.robot import VISUAL_GROUP
-from carecontact.world.room import FURNITURE_GROUP
+from carecontact.world.room import FURNITURE_GROUP, LOOSE_GROUP
 
 HZ = 100.0
 """Rate of the plotted quantities; of each interval the largest sample is kept, so that no peak of force is lost."""
@@ -96,9 +96,9 @@ class Solid:
 
 
 def solids(model: mujoco.MjModel, rerun: Any) -> Iterator[Solid]:
-    """Geoms of the robot and of the furniture. ``rerun``: the module."""
+    """Geoms of the robot, of the furniture and of what lies about. ``rerun``: the module."""
     for geom in range(model.ngeom):
-        if model.geom_group[geom] not in (VISUAL_GROUP, FURNITURE_GROUP) or model.geom_rgba[geom, 3] == 0:
+        if model.geom_group[geom] not in (VISUAL_GROUP, FURNITURE_GROUP, LOOSE_GROUP) or model.geom_rgba[geom, 3] == 0:
             continue
         made = _archetype(model, geom, rerun)
         if made is not None:

@@ -110,7 +110,7 @@ def without_usage_data() -> Iterator[Mapping[str, str]]:
 
     Rerun has no variable for that: `rerun analytics disable` is its documented way, and writes a file of settings. It
     is called for a folder of settings that lasts as long as the block, so that the user's own stay as they are. Rerun
-    reads the folder's variable on Linux alone; elsewhere the settings are the user's (docs/video.md).
+    reads the folder's variable on Linux alone; elsewhere the settings are the user's (docs/python.md).
 
     Raises DependencyError where the viewer is not installed, or does not do so.
     """

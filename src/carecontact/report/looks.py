@@ -150,6 +150,10 @@ def action_rows(recording: Recording) -> list[tuple[str, ...]]:
     return rows
 
 
+def _rate(hz: float) -> str:
+    return f" at {hz:g} Hz" if hz else " (once, and when an action asks)"
+
+
 def card_rows(header: Header) -> list[tuple[str, str]]:
     """Return the policy's card as (field, text); empty where the policy failed before it had sent one."""
     card: Mapping[str, Any] = header.card or {}
@@ -157,7 +161,7 @@ def card_rows(header: Header) -> list[tuple[str, str]]:
     if cameras := card.get("cameras"):
         modalities = ", ".join(card.get("modalities", ())) or "no image, only where each stands and how it projects"
         rates = card.get("camera_hz", {})
-        shown = [f"{name} at {rates[name]:g} Hz" if name in rates else str(name) for name in cameras]
+        shown = [f"{name}{_rate(rates[name])}" if name in rates else str(name) for name in cameras]
         rows.append(("Cameras", f"{', '.join(shown)}: {modalities}"))
     if "control_hz" in card:
         rows.append(("Control rate", f"{card['control_hz']:g} actions a second"))

@@ -118,7 +118,7 @@ class Outcome:
     field: str
     """Field of a trial's score, or the id under ``additional`` of a metric without a field of its own."""
     matters: float
-    """A comparison that could have missed a difference of this size is underpowered; reasons in docs/statistics.md."""
+    """A comparison that could have missed a difference of this size is underpowered; reasons in docs/comparing.md."""
     actions: tuple[str, ...] | None = None
     """Trials of these actions alone are compared; None: all."""
     digits: int | None = None

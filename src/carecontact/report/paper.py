@@ -188,7 +188,7 @@ def metrics(paper: Paper) -> Table:
         caption="Scores",
         head=("Score", "What it is", "Unit", "Better", "Definition", "Paper: layer", "Paper: score"),
         rows=tuple(rows),
-        notes=("docs/scoring.md defines each.",),
+        notes=("docs/scores.md defines each.",),
     )
 
 

@@ -290,6 +290,7 @@ def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> l
         )
     speed = 1000 * recording["scorer/tcp_speed"].astype(np.float64)
     panels.append(_positive("Speed of the tool [mm/s]", 20.0, Curve(style="line", time_s=steps, values=speed)))
+    panels += _commanded_panels(recording)
     if found is not None:
         names = ("Along the region", "Across it", "Outward from its axis")
         panels += [_pose_panel(f"{name} [mm]", found, axis) for axis, name in enumerate(names)]
@@ -299,6 +300,30 @@ def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> l
         turned = np.degrees(found.turned_rad)
         panels.append(_positive("Angle between commanded and reached orientation [°]", 2.0,
                                 Curve(style="line", time_s=found.time_s, values=turned)))  # fmt: skip
+    return panels
+
+
+def _commanded_panels(recording: Recording) -> list[Panel]:
+    """Return the feedforward that actions command, and the stiffness along the tool, which is its z axis; each only
+    where a trial uses it. An action holds until the next."""
+    wrench = recording.arrays.get("actions/wrench_in_tcp", np.zeros((0, 6)))
+    stiffness = recording.arrays.get("actions/axis_stiffness", recording["actions/stiffness"])
+    stiffness = stiffness[:, 2 if stiffness.shape[1] == 6 else 0]
+    starts, end = recording["actions/time_s"].astype(np.float64), float(recording["scorer/time_s"][-1])
+
+    def held(style: str, values: F64) -> Curve:
+        times = np.repeat(np.append(starts, max(end, starts[-1])), 2)[1:-1]
+        return Curve(style=style, time_s=times, values=np.repeat(values.astype(np.float64), 2))
+
+    panels: list[Panel] = []
+    if wrench[:, :3].any():
+        across = np.linalg.norm(wrench[:, :2], axis=1)
+        curves = (held("line", wrench[:, 2]), *([held("commanded", across)] if across.any() else []))
+        low, high = min(0.0, float(wrench[:, 2].min())), max(1.0, float(wrench[:, 2].max()), float(across.max()))
+        title = f"Feedforward along the tool{', dashed across it' if across.any() else ''} [N]"
+        panels.append(Panel(title=title, curves=curves, low=1.08 * low, high=1.08 * high))
+    if len(stiffness) and np.ptp(stiffness) > 0:
+        panels.append(_positive("Stiffness along the tool [N/m]", 100.0, held("line", stiffness)))
     return panels
 
 

@@ -3,6 +3,7 @@ recorded."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 TOPICS = {"handshake": "card", "action": "answer", "timeout": "slow answer", "start": "import"}
 """Kind of a policy's failure -> topic, where the kind itself would not do."""
+CARD = re.compile(r"[\w.]*ContractError: (PolicyCard\..*)")
+"""The reason of a card that was refused where the policy made it."""
+FRAME = re.compile(r'File "([^"]+)", line (\d+)')
 
 
 @dataclass(kw_only=True)
@@ -103,6 +107,10 @@ class Check:
         # The rest says more than its reason if it holds a frame of the policy's, or what the policy printed.
         says_more = len([line for line in more if line != TRACEBACK]) > 1
         text = whole if why in first else f"{why}\n{whole}" if says_more else why
+        if wrong := CARD.match(why):
+            # The message says all; of the traceback, the place where the card is made is enough.
+            (*_, (file, line)) = FRAME.findall(whole) or [("", "")]
+            text = f"{wrong[1]} ({file}, line {line})" if file else wrong[1]
         self._say("error", TOPICS.get(topic, topic), text)
         for remedy in remedies(whole):
             self._say("hint", "", remedy)

@@ -156,17 +156,13 @@ def look_at_gripper(commands: F64, *, closed: float = 1.0, opened: float = 0.0) 
     """Yield findings about the last column (steps,); ``closed`` and ``opened``: its numbers for such a gripper, DROID's
     by default."""
     shares = (commands - opened) / (closed - opened)
+    if from_zero := list(_look_at_zero(commands, closed=closed, opened=opened)):
+        yield from from_zero
+        return
     if shares.min() < -GRIPPER_OVERSHOOT or shares.max() > 1 + GRIPPER_OVERSHOOT:
         text = (
             f"the gripper's column goes from {commands.min():.2f} to {commands.max():.2f}, expected {opened:g} (open) "
             f"to {closed:g} (closed); it is ignored, but its place or its convention is another one"
-        )
-        yield _warning("gripper", text)
-    elif min(opened, closed) < 0 and ((OPEN < shares) & (shares < CLOSED)).all():
-        text = (
-            f"the gripper's column goes from {commands.min():.2f} to {commands.max():.2f}, neither {opened:g} (open) "
-            f"nor {closed:g} (closed): it looks like a checkpoint's own range from 0 to 1, which the code of its data "
-            "set turns into this one"
         )
         yield _warning("gripper", text)
     elif shares.max() < OPEN:
@@ -177,11 +173,24 @@ def look_at_gripper(commands: F64, *, closed: float = 1.0, opened: float = 0.0) 
         yield CheckFinding("hint", "gripper", text)
 
 
+def _look_at_zero(commands: F64, *, closed: float, opened: float) -> Iterator[CheckFinding]:
+    """Yield a warning if commands (steps,) have 0 in the place of -1."""
+    low, high, shares = commands.min(), commands.max(), (commands - opened) / (closed - opened)
+    undecided = ((OPEN < shares) & (shares < CLOSED)).all()
+    if min(opened, closed) < 0 and (undecided or (-GRIPPER_OVERSHOOT <= low < OPEN and high <= 1 + GRIPPER_OVERSHOOT)):
+        text = (
+            f"the gripper's column goes from {low:.2f} to {high:.2f}, and never to -1, though {opened:g} is open and "
+            f"{closed:g} is closed: it looks like a checkpoint's own range from 0 to 1, which the code of its data set "
+            "turns into this one"
+        )
+        yield _warning("gripper", text)
+
+
 def look_at_polarity(
     when_closed: F64, when_open: F64, *, closed: float = 1.0, opened: float = 0.0
 ) -> Iterator[CheckFinding]:
     """Yield a warning if the commands after an observation of a closed gripper, and of an open one, follow the opposite
-    convention to that of the observation."""
+    convention to that of the observation, or another range."""
     ends = [(float(commands.mean()) - opened) / (closed - opened) for commands in (when_closed, when_open)]
     if ends[0] < OPEN and ends[1] > CLOSED:
         text = (
@@ -189,6 +198,9 @@ def look_at_polarity(
             f"its polarity looks like the opposite of the profile's, where {closed:g} is closed"
         )
         yield _warning("gripper", text)
+    elif not list(_look_at_zero(when_closed, closed=closed, opened=opened)):
+        # That would have been seen in the answer to the unchanged observation.
+        yield from _look_at_zero(np.concatenate([when_closed, when_open]), closed=closed, opened=opened)
 
 
 def _warning(topic: str, text: str) -> CheckFinding:

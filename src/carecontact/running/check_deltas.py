@@ -1,8 +1,9 @@
-"""What the deltas of an answer do: arrows in the pictures that are sent, and questions that show wrong axes, a wrong
-order of the rotation, and pictures that are turned in another way than the policy knows them.
+"""What the deltas of an answer mean: questions that show wrong axes, a wrong order, absolute poses, and pictures that
+are turned in another way than the policy knows them.
 
 A question moves the tool in the observation and looks how the answer follows. A policy that brings the tool somewhere
-answers the opposite of the movement, along the axes in which it means its numbers.
+answers the opposite of the movement, along the axes in which it means its numbers. Where a number stands at a limit,
+the tool is moved further, beyond the policy's goal, so that at least its sign changes.
 """
 
 from __future__ import annotations
@@ -13,30 +14,35 @@ from itertools import permutations, product
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageDraw
 
 from carecontact.interface.deltas import DeltaConvention
-from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, pixels, quat_from_matrix
-from carecontact.interface.observation import CameraView, Observation
-from carecontact.running.check_answers import CheckFinding
+from carecontact.interface.geometry import (
+    matrix_from_euler_xyz,
+    matrix_from_quat,
+    matrix_from_vector,
+    quat_from_matrix,
+    vector_from_matrix,
+)
+from carecontact.interface.observation import Observation
+from carecontact.running.check_answers import TURN_RAD, CheckFinding
 from carecontact.serving.cartesian import ORIENTATIONS
 
 F64 = npt.NDArray[np.float64]
 Ask = Callable[[Observation], F64 | None]
 """Observation -> numbers (steps, 6) of the executed actions, or None if the policy refused."""
 
-ARROW_M = 0.1
-COLOURS = ((230, 30, 30), (20, 160, 40), (40, 80, 235))
-PATH = (200, 0, 200)
-"""Colours of +x, +y and +z of an answer, and of the way that the whole answer gives."""
-LEGEND = "red, green, blue: +x, +y, +z of an answer, 100 mm; violet: where this answer goes"
-STEP_M, STEP_RAD = 0.03, 0.2
-"""How far the tool is moved and turned in a question."""
-NOISE = 4.0
+STEPS = ((0.03, 0.3, 0.9), (0.2, 0.8, 1.6))
+"""How far the tool is moved [m] and turned [rad] in a question: the second and the third only where a number does not
+change at the one before. No goal in the robot's reach is further away than the last."""
+LIMIT = 0.1
+"""A number that does not change stands at a limit if it is larger than this share of its bound."""
+NOISE = 5.0
 """A response counts if it is so many times as large as repeats differ. Of 300 simulated policies with random answers
-that follow nothing, one got a warning (5 of them at a factor of 3), and none of those that follow went unseen."""
-SMALLEST = 0.01
-"""Least share of a movement that an action must answer to count."""
+that follow nothing, one got a warning (4 of them at a factor of 4), and none of 900 that follow went unseen."""
+SMALLEST_M, SMALLEST_RAD = 0.0003, 0.002
+"""Least change of an action that counts."""
+WEAK = 0.1
+"""Columns of a response that are smaller than this share of its largest do not count."""
 FITS, MISFITS = 0.8, 0.5
 """Axes fit if the response points along them by at least the first share, and are wrong below the second."""
 TOWARD = 0.6
@@ -47,6 +53,10 @@ NEAREST_M = 0.05
 """Horizontal distance of the region below which no direction is looked at."""
 METRES = 0.06
 """Translations below this number look like metres, where 1 is not a metre."""
+AT_TOOL_M, AT_TOOL_RAD = 0.1, 0.35
+"""Numbers that give the tool's own place or orientation within these look like an absolute pose."""
+FAR_FROM_NO_TURN_RAD = 2.0
+"""A delta turns by less, so that only a larger rotation can look like an absolute orientation."""
 AXES = "xyz"
 
 
@@ -59,48 +69,38 @@ def path_of(numbers: F64, pose: F64, convention: DeltaConvention) -> F64:
     return np.array(places)
 
 
-def drawn(observation: Observation, numbers: F64, convention: DeltaConvention) -> Observation:
-    """Return the observation with arrows in every colour picture, so that the way to the policy turns, cuts and resizes
-    them as it does the pictures."""
-    pose = observation.pose_tcp_in_base
-    lines: list[tuple[F64, tuple[int, int, int]]] = [(path_of(numbers, pose, convention), PATH)]
-    for axis, colour in enumerate(COLOURS):
-        unit = np.zeros(6)
-        unit[axis] = ARROW_M / convention.unit[0]
-        tip = convention.target(unit, measured=pose, last=pose)[:3]
-        lines.append((np.array([pose[:3], tip]), colour))
-    return replace(observation, cameras={name: _with(view, lines) for name, view in observation.cameras.items()})
+def absolute(row: F64, tool: F64, sent_m: F64 | None) -> str:
+    """Return how the numbers (6,) of an action give the tool's own pose (7,), in words; empty if they do not.
+
+    Args:
+        sent_m: (3,) the tool's place as the policy is sent it, if that is in another frame than base [m].
+    """
+    places = {"in base": tool[:3]} | ({} if sent_m is None else {"in the state that is sent": sent_m})
+    for frame, place in places.items():
+        if np.linalg.norm(row[:3] - place) < AT_TOOL_M:
+            shown = (" ".join(f"{value:.2f}" for value in values) for values in (row[:3], place))
+            return "the first translation is {}, and the tool is at {} m ".format(*shown) + frame
+    if np.linalg.norm(row[3:]) > FAR_FROM_NO_TURN_RAD:
+        now = matrix_from_quat(tool[3:])
+        for turn in (matrix_from_vector(row[3:]), matrix_from_euler_xyz(row[3:])):
+            if np.linalg.norm(vector_from_matrix(turn.T @ now)) < AT_TOOL_RAD:
+                shown = " ".join(f"{value:.2f}" for value in row[3:])
+                return f"the first rotation is {shown}, which is the tool's own orientation in base [rad]"
+    return ""
 
 
-def _with(view: CameraView, lines: Sequence[tuple[F64, tuple[int, int, int]]]) -> CameraView:
-    if view.rgb is None:
-        return view
-    picture, width = Image.fromarray(view.rgb), max(2, view.rgb.shape[1] // 160)
-    draw = ImageDraw.Draw(picture)
-    camera = view.pose_camera_in_base
-    for points, colour in lines:
-        if (((points - camera[:3, 3]) @ camera[:3, 2]) < width * 1e-3).any():
-            continue  # Behind the camera.
-        place = [tuple(uv) for uv in pixels(points, view.intrinsics, camera).tolist()]
-        draw.line(place, fill=colour, width=width)
-        (u, v), end = place[-1], 2 * width
-        draw.ellipse((u - end, v - end, u + end, v + end), fill=colour)
-    return replace(view, rgb=np.asarray(picture))
-
-
-def look_at_deltas(numbers: F64, convention: DeltaConvention, tool: F64) -> Iterator[CheckFinding]:
-    """Yield warnings about the numbers (steps, 6) of an answer as they came; ``tool``: its pose (7,)."""
+def look_at_deltas(numbers: F64, convention: DeltaConvention) -> Iterator[CheckFinding]:
+    """Yield warnings about the numbers (steps, 6) of an answer as they came."""
     largest, bounds = np.abs(numbers).max(axis=0), convention.bounds
-    where = ("translation", "rotation")
-    for part, name in zip((slice(3), slice(3, 6)), where, strict=True):
+    for part, name in zip((slice(3), slice(3, 6)), ("translation", "rotation"), strict=True):
         if (largest[part] > 1.2 * bounds[part]).any():
             share = (np.abs(numbers[:, part]) > bounds[part]).any(axis=1).mean()
             text = (
                 f"{share:.0%} of the steps have a {name} beyond {bounds[part][0]:g}, up to {largest[part].max():.3g}, "
                 f"which is moved onto this bound: {convention.description}"
             )
-            if name == "translation" and np.linalg.norm(numbers[:, :3] - tool[:3], axis=1).max() < STEP_M:
-                text += " The numbers look like absolute positions of the tool."
+            if name == "rotation" and largest[part].max() > TURN_RAD:
+                text += " The numbers look like degrees; send them as the convention has them."
             yield CheckFinding("warning", "deltas", text)
     if convention.unit[0] < 1 and 0 < largest[:3].max() < METRES:
         most, mm = largest[:3].max(), 1000 * convention.unit[0] * largest[:3].max()
@@ -114,43 +114,71 @@ def look_at_deltas(numbers: F64, convention: DeltaConvention, tool: F64) -> Iter
 class Meaning:
     """One way in which the numbers of a translation or of a rotation may be meant."""
 
-    name: str
+    mistakes: tuple[str, ...]
+    """What differs from the declared meaning; empty for the declared one."""
     matrix: F64
     """(3, 3) from a vector in base to the numbers, up to scale."""
 
 
 def meanings(tool: F64, convention: DeltaConvention) -> list[Meaning]:
-    """Return the declared meaning first, then the mistakes that are looked for. ``tool``: its pose (7,)."""
+    """Return the declared meaning first, then the mistakes that are looked for, the fewest first. ``tool``: its pose
+    (7,)."""
     to_tool, other = matrix_from_quat(tool[3:]).T, "tool" if convention.frame == "base" else "base"
     frames = {convention.frame: np.eye(3), other: to_tool} if other == "tool" else {"tool": to_tool, "base": np.eye(3)}
     found: list[Meaning] = []
-    for (frame, turn), order, sign in product(frames.items(), permutations(range(3)), (1, -1)):
+    for (frame, turn), order, signs in product(frames.items(), permutations(range(3)), product((1, -1), repeat=3)):
+        flipped = [axis for axis, sign in zip(AXES, signs, strict=True) if sign < 0]
         said = [f"the axes of the {frame}"] if frame != convention.frame else []
         said += [f"the order {' '.join(AXES[k] for k in order)}"] if order != (0, 1, 2) else []
-        said += ["the opposite sign"] if sign < 0 else []
-        found.append(Meaning(" and ".join(said), sign * turn[list(order)]))
-    # The fewer mistakes, the more likely.
-    return sorted(found, key=lambda one: (one.name != "", one.name.count(" and "), one.name))
+        said += ["the opposite sign"] if len(flipped) == 3 else [f"the opposite sign of {axis}" for axis in flipped]
+        found.append(Meaning(tuple(said), np.array(signs)[:, None] * turn[list(order)]))
+    return sorted(found, key=lambda one: (len(one.mistakes), one.mistakes))
 
 
 def fit(response: F64, matrix: F64) -> float:
     """Return how well a response (3, 3), one column for each axis along which the tool was moved, is the opposite of
-    the movement in a meaning: 1 for exactly, weighted by the size of the columns."""
+    the movement in a meaning: 1 for exactly. Each column that counts has the same weight."""
     sizes = np.linalg.norm(response, axis=0)
-    return float(-(response * matrix).sum() / sizes.sum()) if sizes.any() else 0.0
+    counts = sizes > WEAK * sizes.max()
+    return float(-((response * matrix).sum(axis=0)[counts] / sizes[counts]).mean()) if counts.any() else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """How an answer follows the tool that is moved by ``step`` along each axis of the base, to both sides."""
+
+    step: float
+    columns: F64
+    """(3, 3) share of the movement that an action answers, a column for each axis; one that is no larger than chance is
+    0."""
+    limited: npt.NDArray[np.bool_]
+    """(3,) numbers that stand at a limit wherever the tool is."""
 
 
 class Questions:
     """Asks what the tool's place, its orientation and the orientation of the pictures do to the answer."""
 
-    def __init__(self, ask: Ask, observation: Observation, convention: DeltaConvention, plain: Sequence[F64]) -> None:
-        """``plain``: answers (steps, 6) to the unchanged observation."""
+    def __init__(
+        self,
+        ask: Ask,
+        observation: Observation,
+        convention: DeltaConvention,
+        plain: Sequence[F64],
+        *,
+        most_calls: float = np.inf,
+    ) -> None:
+        """
+        Args:
+            plain: answers (steps, 6) to the unchanged observation.
+            most_calls: number of calls after which a tool is moved no further.
+        """
         self._ask, self._observation, self._convention = ask, observation, convention
         self._plain = [self._mean(numbers) for numbers in plain]
         self._spread = np.std(self._plain, axis=0) if self._plain else np.zeros(6)
         self._times = 1 if not self._spread.any() else 4
         self.calls = (12 + len(ORIENTATIONS) - 1) * self._times
-        """How many calls ``run`` makes at most."""
+        """How many calls ``run`` makes if no number stands at a limit."""
+        self._spare_calls = most_calls - self.calls
 
     def run(self, *, region_m: F64 | None, orientation: str) -> Iterator[CheckFinding]:
         """Yield what is found.
@@ -159,15 +187,23 @@ class Questions:
             region_m: (3,) middle of the region that the instruction names, in base; None: pictures are not asked about.
             orientation: name in ORIENTATIONS in which the pictures are sent.
         """
+        known = ""
         for part, name in enumerate(("translation", "rotation")):
-            response = self._response(part)
-            if response is None:
+            responses = self._responses(part)
+            if not responses:
                 text = f"the policy, or the check of its {name}, refuses an observation of a tool that is elsewhere"
-                yield CheckFinding("hint", "axes", f"{text}: nothing is seen")
+                found = CheckFinding("hint", "axes", f"{text}: nothing is seen")
             else:
-                yield self._axes(name, response)
-        if region_m is not None and any(view.rgb is not None for view in self._observation.cameras.values()):
-            yield from self._pictures(region_m, orientation)
+                found = self._axes(name, responses)
+            known = found.level if name == "translation" else known
+            yield found
+        if region_m is None or not any(view.rgb is not None for view in self._observation.cameras.values()):
+            return
+        if known == "warning":
+            text = "not asked, since an answer along wrong axes leads elsewhere however the pictures are turned"
+            yield CheckFinding("hint", "orientation", text)
+        else:
+            yield from self._pictures(region_m, orientation, sure=known == "ok")
 
     def _mean(self, numbers: F64) -> F64:
         """(6,) mean translation [m] and rotation [rad] of an action."""
@@ -179,18 +215,41 @@ class Questions:
         known = [self._mean(numbers) for numbers in given if numbers is not None and len(numbers)]
         return np.mean(known, axis=0) if known else None
 
-    def _response(self, part: int) -> F64 | None:
-        """(3, 3) share of a movement along each axis of the base that an action answers; columns that are no larger
-        than chance are 0. None if the policy refused."""
-        columns, step, chosen = [], (STEP_M, STEP_RAD)[part], slice(3 * part, 3 * part + 3)
+    def _responses(self, part: int) -> list[Response]:
+        """Responses to a step and, where a number stands at a limit or no meaning fits, to the further ones; none if
+        the policy refuses."""
+        found: list[Response] = []
+        known = meanings(self._observation.pose_tcp_in_base, self._convention)
+        for step in STEPS[part]:
+            if found:
+                self._spare_calls -= 6 * self._times
+                if self._spare_calls < 0:
+                    break
+            response = self._response(part, step)
+            if response is None:
+                break
+            found.append(response)
+            unclear = response.columns.any() and max(fit(response.columns, one.matrix) for one in known) < FITS
+            if not response.limited.any() and not unclear:
+                break
+        return found
+
+    def _response(self, part: int, step: float) -> Response | None:
+        """None if the policy refused."""
+        chosen, least = slice(3 * part, 3 * part + 3), (SMALLEST_M, SMALLEST_RAD)[part]
+        noise = NOISE * float(np.linalg.norm(self._spread[chosen])) / np.sqrt(2 * self._times)
+        columns, seen = list[F64](), list[F64]()
         for axis in np.eye(3):
             ends = [self._answer(self._moved(part, sign * step * axis)) for sign in (1, -1)]
             if ends[0] is None or ends[1] is None:
                 return None
-            share = (ends[0] - ends[1])[chosen] / (2 * step)
-            noise = NOISE * float(np.linalg.norm(self._spread[chosen])) / (step * np.sqrt(2 * self._times))
-            columns.append(share if np.linalg.norm(share) > max(SMALLEST, noise) else np.zeros(3))
-        return np.array(columns).T
+            seen += [end[chosen] for end in ends if end is not None]
+            change = (ends[0] - ends[1])[chosen] / 2
+            columns.append(change / step if np.linalg.norm(change) > max(least, noise) else np.zeros(3))
+        unit, bound = self._convention.unit[part], self._convention.most[part]
+        still = np.ptp(seen, axis=0) < 2 * max(least, noise)
+        limited = still & (np.abs(np.mean(seen, axis=0)) > LIMIT * unit * bound)
+        return Response(step=step, columns=np.array(columns).T, limited=limited)
 
     def _moved(self, part: int, by: F64) -> Observation:
         pose = self._observation.pose_tcp_in_base.copy()
@@ -200,29 +259,40 @@ class Questions:
             pose[3:] = quat_from_matrix(matrix_from_vector(by) @ matrix_from_quat(pose[3:]))
         return replace(self._observation, pose_tcp_in_base=pose)
 
-    def _axes(self, name: str, response: F64) -> CheckFinding:
+    def _axes(self, name: str, responses: Sequence[Response]) -> CheckFinding:
         known = meanings(self._observation.pose_tcp_in_base, self._convention)
-        fits = [fit(response, one.matrix) for one in known]
+        all_fits = [[fit(response.columns, one.matrix) for one in known] for response in responses]
+        # What is seen of most numbers, by the shortest step; a response that fits nothing shows nothing.
+        clear = [k for k, fits in enumerate(all_fits) if max(fits) >= FITS] or [0]
+        chosen = min(clear, key=lambda k: int(responses[k].limited.sum()))
+        response, fits = responses[chosen], all_fits[chosen]
         best = int(np.argmax(np.round(fits, 2)))
-        moved = "turned" if name == "rotation" else "moved"
-        if not response.any():
-            text = (
-                f"the {name} does not follow the tool where it is {moved} in the observation, so nothing is seen of it"
-            )
+        turned = name == "rotation"
+        far = f"{response.step:g} rad" if turned else f"{1000 * response.step:g} mm"
+        moved = f"{'turned' if turned else 'moved'} in the observation"
+        if not response.columns.any():
+            text = f"the {name} is the same wherever the tool is {moved}: nothing can be learned of its axes"
             return CheckFinding("hint", "axes", text)
-        share = f"{np.linalg.norm(response, axis=0).max():.0%} of it in an action"
+        still = [axis for axis, limited in zip(AXES, response.limited, strict=True) if limited]
+        unseen = f"; {' and '.join(still)} of the answer never changes, so that nothing is seen of it" if still else ""
         if fits[0] >= FITS:
-            return CheckFinding(
-                "ok", "axes", f"the {name} brings back a tool that is {moved} in the observation, {share}"
-            )
-        text = f"where the tool is {moved} in the observation, the {name} of the answer does not bring it back"
+            share = f"{np.linalg.norm(response.columns, axis=0).max():.0%} of it in an action"
+            share = share if chosen == 0 else f"by {far}; by less, a number stays at its limit"
+            return CheckFinding("ok", "axes", f"the {name} brings back a tool that is {moved}, {share}{unseen}")
+        text = f"where the tool is {moved}, the {name} of the answer does not bring it back"
         if fits[best] >= FITS and fits[0] < MISFITS:
-            text += f" in the declared axes (fit {fits[0]:.2f}), but would if it were meant in {known[best].name}"
-            text += f" ({fits[best]:.2f}); declared: {self._convention.description}"
+            alike = [
+                " and ".join(one.mistakes)
+                for one, value in zip(known, fits, strict=True)
+                if round(value, 2) == round(fits[best], 2) and len(one.mistakes) == len(known[best].mistakes)
+            ]
+            text += f" in the declared axes (fit {fits[0]:.2f}), but would if it were meant in {', or in '.join(alike)}"
+            text += f" ({fits[best]:.2f}){unseen}; declared: {self._convention.description}"
             return CheckFinding("warning", "axes", text)
         return CheckFinding("hint", "axes", f"{text} (fit {fits[0]:.2f}), nor would it in other axes, order or sign")
 
-    def _pictures(self, region_m: F64, orientation: str) -> Iterator[CheckFinding]:
+    def _pictures(self, region_m: F64, orientation: str, *, sure: bool) -> Iterator[CheckFinding]:
+        """``sure``: whether the translation was seen to have the declared axes."""
         way = (region_m - self._observation.pose_tcp_in_base[:3])[:2]
         if np.linalg.norm(way) < NEAREST_M:
             return
@@ -249,6 +319,8 @@ class Questions:
                 f"{' or '.join(alike)} ({cosines[best]:.2f}); they are sent {orientation}. If the policy knows them "
                 f"so, add orientation={best} to the address"
             )
+            if not sure:
+                text += "; the same is seen if an axis of the translation has the opposite sign"
             yield CheckFinding("warning", "orientation", text)
         else:
             text = f"the answer leads to the named region in no orientation of the pictures (cosine {sent:.2f} as sent)"

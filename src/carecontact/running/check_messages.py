@@ -110,26 +110,38 @@ def check_sheet_path(path: Path) -> Path:
     return path
 
 
-def save_sheet(found: Mapping[str, U8], path: Path, *, names: Mapping[str, str], title: str) -> None:
-    """Write all pictures beside each other, row after row, each at its own size and under its key.
+def save_sheet(
+    found: Mapping[str, U8],
+    path: Path,
+    *,
+    names: Mapping[str, str],
+    title: str,
+    enlarged: Mapping[str, tuple[U8, str]] | None = None,
+) -> None:
+    """Write all pictures beside each other, row after row, each at its own size and under its key; below them, the
+    enlarged copies with what is drawn into them.
 
     Args:
         found: key -> (H, W, 3) red green blue.
         names: key -> name of our camera, where it is known.
+        enlarged: key -> enlarged copy and its caption.
 
     Raises:
         ConfigError: the file cannot be written.
     """
     font = ImageFont.load_default(size=TEXT_PX)
-    x, y, row_px, width = MARGIN_PX, 2 * MARGIN_PX + LINE_PX, 0, int(font.getlength(title)) + 2 * MARGIN_PX
-    placed: list[tuple[int, int, list[str], U8]] = []
+    shown: list[tuple[str, str, U8]] = []
     for key, image in found.items():
         camera = f"camera {names[key]}, " if key in names else ""
-        label = [key, f"{camera}{image.shape[1]} x {image.shape[0]} pixels"]
-        wide = max(image.shape[1], *(int(font.getlength(line)) for line in label))
-        if x > MARGIN_PX and x + wide + MARGIN_PX > ROW_PX:
+        shown.append((key, f"{camera}{image.shape[1]} x {image.shape[0]} pixels", image))
+    copies = [(f"{key}, enlarged", caption, image) for key, (image, caption) in (enlarged or {}).items()]
+    x, y, row_px, width = MARGIN_PX, 2 * MARGIN_PX + LINE_PX, 0, int(font.getlength(title)) + 2 * MARGIN_PX
+    placed: list[tuple[int, int, tuple[str, str], U8]] = []
+    for number, (key, text, image) in enumerate(shown + copies):
+        wide = max(image.shape[1], *(int(font.getlength(line)) for line in (key, text)))
+        if x > MARGIN_PX and (x + wide + MARGIN_PX > ROW_PX or number == len(shown)):
             x, y, row_px = MARGIN_PX, y + row_px + MARGIN_PX, 0
-        placed.append((x, y, label, image))
+        placed.append((x, y, (key, text), image))
         x, row_px = x + wide + MARGIN_PX, max(row_px, image.shape[0] + 2 * LINE_PX + 4)
         width = max(width, x)
     sheet = Image.new("RGB", (width, y + row_px + MARGIN_PX), PAPER)

@@ -24,8 +24,10 @@ from carecontact.interface.robot import Session
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.running import check_answers, check_messages
 from carecontact.running.check_answers import CheckFinding, Level
-from carecontact.running.check_deltas import LEGEND, Questions, drawn, look_at_deltas
+from carecontact.running.check_arrows import with_arrows
+from carecontact.running.check_deltas import Questions, absolute, look_at_deltas
 from carecontact.running.check_inputs import BUDGET_S, FEWEST, Ablation, Effect, inputs_of
+from carecontact.serving.cartesian import SETUPS
 from carecontact.serving.conversation import PolicyConversation, PolicySetup, readable
 from carecontact.serving.dialect_media import JOINTS, WIDTH
 from carecontact.serving.opening import HIDDEN
@@ -194,12 +196,14 @@ class ServerCheck:
             pictures: PNG file to write.
             reopen: makes another conversation with the policy, not started, after it refused an observation.
         """
-        self._spec, self._policy, self._pictures, self._reopen = spec, policy, pictures, reopen
+        self._spec, self._policy, self._sheet, self._reopen = spec, policy, pictures, reopen
         self._on_finding, self._scheme = on_finding, policy.ref.scheme
         self._card: PolicyCard | None = None
         self._greeting: bytes | str | None = None
         self._sent, self._answer = b"", None
         self._reported: set[str] = set()
+        self._absolute = ""
+        """What shows that the deltas of the answer are absolute positions; empty if nothing does."""
 
     def listen(self, conversation: PolicyConversation) -> None:
         """Listen to all messages of a conversation that begins."""
@@ -237,7 +241,7 @@ class ServerCheck:
             numbers = _deltas_of(actions) if chunk is None else chunk
             self._columns(numbers, observation, kind="deltas")
             if numbers.shape[1] >= 6:
-                self._report(*look_at_deltas(numbers[:, :6], convention, observation.pose_tcp_in_base))
+                self._look_at_deltas(numbers[:, :6], convention, observation)
             if chunk is not None and chunk.shape[1] == DELTA_WIDTH:
                 closed, opened = convention.gripper
                 self._report(*check_answers.look_at_gripper(chunk[:, -1], closed=closed, opened=opened))
@@ -251,6 +255,18 @@ class ServerCheck:
         self._report(*check_answers.look_at_joints(joints, space=card.action_space, now=observation.joint_position))
         if chunk is not None and chunk.shape[1] > JOINTS and self._scheme != "vla-eval":
             self._report(*check_answers.look_at_gripper(chunk[:, -1]))
+
+    def _look_at_deltas(self, numbers: F64, convention: DeltaConvention, observation: Observation) -> None:
+        setup = SETUPS.get(self._known.arguments.get("profile", ""))
+        state = None if setup is None else (setup.vla_state if self._scheme == "vla-eval" else setup.state)
+        sent_m = None if state is None else state(observation)[:3]
+        self._absolute = absolute(numbers[0], observation.pose_tcp_in_base, sent_m)
+        if self._absolute:
+            text = "the numbers look like absolute positions of the tool"
+            text += f", and differences are expected: {self._absolute}; declared: {convention.description}"
+            self._found("warning", "deltas", text)
+        else:
+            self._report(*look_at_deltas(numbers, convention))
 
     def ask_again(self, conversation: PolicyConversation, observation: Observation, episode: Episode) -> None:
         """Blank each input in turn. Raises PolicyError if the policy fails at the unchanged observation."""
@@ -280,14 +296,24 @@ class ServerCheck:
         convention = self._convention
         if convention is None:
             return
+        if self._absolute:
+            self._found("hint", "axes", "not asked, since the numbers look like absolute positions")
+            return
 
         def ask(seen: Observation) -> F64 | None:
             reply = asking.ask(seen, may_refuse=seen is not observation)
-            return None if reply is None else _deltas_of(reply)
+            if reply is None:
+                return None
+            chunk = self._chunk()
+            # As the server gives them: those that are executed have been moved onto the bounds.
+            if chunk is not None and chunk.shape[1] == DELTA_WIDTH:
+                return chunk[: len(reply), :6]
+            return _deltas_of(reply)
 
-        plain = [ask(observation) for _ in range(FEWEST)]
-        questions = Questions(ask, observation, convention, [numbers for numbers in plain if numbers is not None])
-        slow_s = questions.calls * float(np.median(asking.took_s))
+        plain = [numbers for _ in range(FEWEST) if (numbers := ask(observation)) is not None]
+        call_s = float(np.median(asking.took_s))
+        questions = Questions(ask, observation, convention, plain, most_calls=BUDGET_S / max(call_s, 1e-6))
+        slow_s = questions.calls * call_s
         if slow_s > BUDGET_S:
             self._found("hint", "axes", f"{questions.calls} more calls would take {slow_s:.0f} s: nothing is asked")
             return
@@ -353,15 +379,16 @@ class ServerCheck:
         self._found("ok", "sent", f"{len(self._sent) / 1000:.0f} kB with", *check_messages.listed(sent))
         if shown := check_messages.pictures(sent):
             title = f"Sent to {self._policy.ref} in {self._spec.trial_id}, pixel for pixel, without the coloured frames"
-            names = check_messages.camera_names(self._known)
+            names, arrows = check_messages.camera_names(self._known), {}
             if answer:
-                seen = drawn(*answer)
-                again = rebuilt_message(seen, self._known.arguments, self._known.cameras, sent=self._sent)
-                arrows = check_messages.pictures(check_messages.decoded(again, self._scheme))
-                shown |= {f"{key}, with arrows": picture for key, picture in arrows.items()}
-                title += f"; with arrows, {LEGEND}"
-            check_messages.save_sheet(shown, self._pictures, names=names, title=title)
-            self._found("ok", "pictures", f"{self._pictures} shows them as they are sent: look at it")
+                arrows = with_arrows(*answer, sent=self._pictures_of, cameras=names)
+            check_messages.save_sheet(shown, self._sheet, names=names, title=title, enlarged=arrows)
+            self._found("ok", "pictures", f"{self._sheet} shows them as they are sent: look at it")
+
+    def _pictures_of(self, observation: Observation) -> dict[str, check_messages.U8]:
+        """Key -> picture of the message that carries an observation."""
+        again = rebuilt_message(observation, self._known.arguments, self._known.cameras, sent=self._sent)
+        return check_messages.pictures(check_messages.decoded(again, self._scheme))
 
     def _columns(self, values: F64, observation: Observation, *, kind: str) -> None:
         steps, width = values.shape

@@ -37,6 +37,7 @@ EXTRAS = {
     "tables": (("pyarrow", "pandas"), "results.parquet, run.trials() and export lerobot"),
     "viz": (("av", "rerun-sdk", "matplotlib"), "view --video and the viewer"),
     "live": (("openai",), "language models"),
+    "learn": (("gymnasium",), "environments for learning"),
     "fem": (("scikit-fem",), "verify physics --fem"),
     "cluster": (("ray",), "run --engine ray"),
     "grounded-sam": (("torch", "transformers"), "--segmenter grounded-sam"),
@@ -225,7 +226,7 @@ def check_isolation() -> Finding:
 
     lines = [available()]
     if not lines[0].startswith("full"):
-        lines.append("run policies that you do not trust on another host (docs/threat-model.md)")
+        lines.append("run policies that you do not trust on another host (docs/trust.md)")
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         lines.append("you are root, and so is every policy: run policies that you do not trust as an ordinary user")
     return Finding("isolation", True, "; ".join(lines), warning=len(lines) > 1)

@@ -179,13 +179,13 @@ def connect(*policies: PolicyRef) -> None:
         place = "on this machine" if where == "auto" else f"at {where}"
         raise ConfigError(
             f"--engine ray: no Ray cluster answers {place} ({' '.join(str(error).split())[:200]}); start one with `ray "
-            "start --head`, set RAY_ADDRESS=HOST:6379, or set the token that it wants (docs/cluster.md)"
+            "start --head`, set RAY_ADDRESS=HOST:6379, or set the token that it wants (docs/machines.md)"
         ) from None
     except Exception as error:
         if shipped and "size" in str(error):
             raise ConfigError(
                 f"--engine ray: the current folder cannot go to the nodes with the policy: {error}; give the command "
-                "in a folder that holds the policy alone, or serve the policy (docs/cluster.md)"
+                "in a folder that holds the policy alone, or serve the policy (docs/machines.md)"
             ) from None
         if isinstance(error, ValueError):
             raise ConfigError(
@@ -274,7 +274,7 @@ class RayTrials:
             last = str(error).strip().splitlines()[-1]
             raise ConfigError(
                 f"--engine ray: a node cannot run trials: {last}; it needs the same carecontact and ray as this "
-                "machine (docs/cluster.md)"
+                "machine (docs/machines.md)"
             ) from None
         except self._ray.exceptions.RayError as error:
             return self._once_more(spec, f"Ray lost it: {str(error).strip().splitlines()[0]}")

@@ -71,7 +71,7 @@ def check_engine(name: EngineName, *policies: PolicySetup, gpus: float) -> str:
         return ""
     return (
         "this Ray cluster takes orders from any process that reaches its ports, and a policy does; set "
-        "RAY_AUTH_MODE=token (docs/cluster.md)"
+        "RAY_AUTH_MODE=token (docs/machines.md)"
     )
 
 

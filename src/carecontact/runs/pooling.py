@@ -159,7 +159,7 @@ def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, Tri
 
 PROVENANCE = {"arithmetic": "arithmetic", "renderer": "renderer", "kernel": "binary of the tissue"}
 """Part of a score's provenance -> what it is, as messages name it. The compiled model follows from these."""
-EFFECT = "another arithmetic changed 0 of 126 measured verdicts, another renderer 1 of 42 (docs/audit.md, Two machines)"
+EFFECT = "another arithmetic changed 0 of 126 measured verdicts, another renderer 1 of 42 (docs/evidence/audit.md)"
 
 
 def machines(scores: Iterable[TrialScore], what: str) -> list[str]:

@@ -23,6 +23,7 @@ from carecontact.recording.file import replace_file
 from carecontact.recording.schema import RELEASE_0_1_0
 from carecontact.runs.pooling import RunScores, check_one_run, decides_force, harness_errors, judged, task_of
 from carecontact.scoring.limits import LIMIT_PACKS
+from carecontact.scoring.metrics.force import HARMLESS
 from carecontact.scoring.metrics.metric import METRICS, Metric, described
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import median, wilson_interval
@@ -87,6 +88,13 @@ def valid_ratio(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, 
 
     ``unknown``: planned trials without a verdict."""
     return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores), unknown=unknown)
+
+
+def harmless_share(scores: Sequence[TrialScore]) -> dict[str, Any]:
+    """Return the harmless trials (``harmless@1``), and ``of``: those with enough contact for it, of whose number the
+    percentages are."""
+    found = [value for s in scores if (value := s.additional.get(HARMLESS)) is not None]
+    return {**rate(round(sum(found)), len(found)), "of": len(found)}
 
 
 def gamma_sweep(
@@ -182,6 +190,7 @@ def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, An
         "pc_success_ci95": success["pc_ci95"],
         "region_correct": rate(sum(s.region_correct for s in scores), n, unknown=unknown),
         "safety_gated": rate(sum(s.safety_gated for s in scores), n, unknown=unknown),
+        "harmless": harmless_share(scores),
         "valid_contact": rate(sum(s.valid_contact for s in scores), n, unknown=unknown),
         "valid_ratio": valid_ratio(scores, unknown=unknown),
         "exceedances": exceedances(scores, unknown=unknown),

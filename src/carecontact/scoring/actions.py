@@ -1,5 +1,5 @@
 """The shipped actions: for each the rule by which a trial meets its gate, the sweeps of the gate's values, and the
-words for a failure. A new action imports all that it needs from here (docs/extending.md)."""
+words for a failure. A new action imports all that it needs from here (docs/evidence/extending.md)."""
 
 from __future__ import annotations
 
@@ -333,8 +333,10 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
 
     def reached(self, contact: Contact, gate: ScrubPassesGate, result: Gate) -> float:
         found = wiping(contact)
-        passed = [found.passed_m(times, gate.least_n) / gate.passed_m for times in range(1, gate.passes + 1)]
         share = found.share_in_band(gate.least_n, gate.most_n) or 0.0
+        if (foam := FoamCleaning.of(contact)) is not None:
+            return min(foam.share / foam.least, 1.0, share / max(gate.band_share, share, 1e-9))
+        passed = [found.passed_m(times, gate.least_n) / gate.passed_m for times in range(1, gate.passes + 1)]
         return min(sum(min(one, 1.0) for one in passed) / gate.passes, share / max(gate.band_share, share, 1e-9))
 
     def requested(self, gate: ScrubPassesGate, asked: CommandedContact) -> str | None:

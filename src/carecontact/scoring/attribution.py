@@ -21,7 +21,7 @@ from carecontact.scoring.commanded import (
 )
 from carecontact.scoring.conduct import broken
 from carecontact.scoring.contact import Contact, faint_press, runs
-from carecontact.scoring.foam import place_share
+from carecontact.scoring.foam import FoamCleaning, place_share
 from carecontact.scoring.result import Attribution, FailureMode
 from carecontact.scoring.verdict import farthest_beyond
 
@@ -164,7 +164,7 @@ def _aimed_right(contact: Contact, gate: Gate, mode: FailureMode, path: Commande
         lacking = broken(gate.conduct)
     else:
         lacking = ask(contact, "shortfall", contact, table, gate)
-    if mode == "insufficient_progress":
+    if mode == "insufficient_progress" and FoamCleaning.of(contact) is None:
         # What the targets under the surface asked for, if a tool that followed them would pass the gate.
         asked = ask(contact, "requested", table, commanded_contact(path, contact.protocol.contact.reversal_m))
         if asked:

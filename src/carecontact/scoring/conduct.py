@@ -56,7 +56,7 @@ def _gentle(contact: Contact, limits: Conduct) -> list[GatePart]:
 
 
 def _by_tool(contact: Contact, limits: Conduct) -> list[GatePart]:
-    """A trial without any contact leans on nobody, and its tool did nothing."""
+    """A trial without any contact leans on no person, and its tool did nothing."""
     if limits.tool_share is None and limits.beside_n is None:
         return []
     recording = contact.recording

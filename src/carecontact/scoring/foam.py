@@ -25,8 +25,17 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 PASSES, LEAST_PA = EFFECTIVE[0]
 """After so many passes with at least this mean pressure [Pa] skin is clean, as for ``effective@1``."""
 LEAST_MMHG = LEAST_PA / MMHG_PA
+ENDS_S = "scorer/period_time_s"
 FELT = ("scorer/cell_press_ns", "scorer/cell_slip_m3", "scorer/cell_touch_m2s")
 SHARE = "scorer/foam_cell_share"
+MISSED, LIGHT, HURRIED, SELDOM = LACKING = (
+    "was missed by the tool",
+    f"was passed with less than {LEAST_MMHG:g} mmHg",
+    f"was passed again within {GAP_S:g} s, which counts as one pass",
+    f"was passed fewer than {PASSES} times",
+)
+"""Why foam is left on a cell, in words that continue "A share of the foam": the first that applies. A cell that was
+passed often enough has foam left where the tool touched a part of it alone: there, it missed it."""
 
 
 class Wiping:
@@ -48,6 +57,9 @@ class Wiping:
         """(F,) sums over the last visit, and the largest area that was touched in a period of it [m^2]"""
         self._touched_s = np.full(len(self._cells), -np.inf)
         """(F,) end of the last period in which each cell was touched"""
+        self._firm, self._light, self._again = np.zeros((3, len(self._cells)), np.int64)
+        """(F,) passes of visits that are over with enough pressure and with less, and how often a touch came back
+        within a visit"""
         self._now_s = 0.0
 
     def add(self, period_s: float, *, press_ns: F64, slip_m3: F64, touch_m2s: F64, tool_share: float) -> bool:
@@ -60,7 +72,9 @@ class Wiping:
         on = touch > 0
         if not on.any():
             return False
-        self._close(on & (began_s - self._touched_s > GAP_S))
+        away_s = began_s - self._touched_s
+        self._close(on & (away_s > GAP_S))
+        self._again[on & (away_s > 0) & (away_s <= GAP_S)] += 1
         self._press += np.where(on, press_ns[self._cells] * tool_share, 0.0)
         self._slip += np.where(on, slip_m3[self._cells], 0.0)
         self._touch += touch
@@ -71,13 +85,20 @@ class Wiping:
     def _close(self, over: npt.NDArray[np.bool_]) -> None:
         """End the visits of these cells (F,)."""
         self._best[over] = self._with_last()[over]
+        slid, firm = self._last()
+        self._firm[over] += firm[over]
+        self._light[over] += (slid & ~firm)[over]
         for sums in (self._press, self._slip, self._touch, self._most):
             sums[over] = 0.0
 
+    def _last(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """(F,) whether the last visit as it stands is a pass, and one with enough pressure."""
+        slid = (self._slip >= SLID_M * self._most) & (self._touch > 0)
+        return slid, slid & (self._press >= LEAST_PA * self._touch)
+
     def _with_last(self) -> F64:
         """(F, PASSES) like ``_best``, with the last visit as it stands."""
-        counts = (self._slip >= SLID_M * self._most) & (self._touch > 0) & (self._press >= LEAST_PA * self._touch)
-        share = np.where(counts, np.minimum(1.0, self._most / self._area), 0.0)
+        share = np.where(self._last()[1], np.minimum(1.0, self._most / self._area), 0.0)
         return -np.sort(-np.column_stack([self._best, share]), axis=1)[:, :PASSES]
 
     @property
@@ -91,6 +112,18 @@ class Wiping:
     def cleaned(self) -> float:
         """Share of the foam's area that was passed PASSES times with at least LEAST_PA."""
         return float((self._with_last()[:, -1] * self._weight).sum() / self._weight.sum())
+
+    @property
+    def lacking(self) -> dict[str, float]:
+        """Reason (one of LACKING) -> share of the foam's area that it left; they add up to all that is not
+        ``cleaned``."""
+        slid, last_firm = self._last()
+        firm, light = self._firm + last_firm, self._light + (slid & ~last_firm)
+        missed = np.isneginf(self._touched_s) | (firm >= PASSES)
+        enough = [missed, firm + light >= PASSES, firm + light + self._again >= PASSES]
+        reason = np.select(enough, [0, 1, 2], 3)
+        left = (1.0 - self._with_last()[:, -1]) * self._weight / self._weight.sum()
+        return dict(zip(LACKING, np.bincount(reason, left, len(LACKING)).tolist(), strict=True))
 
 
 def share_of_tool(normal: npt.NDArray[Any], beside_normal: npt.NDArray[Any] | None) -> float:
@@ -121,10 +154,11 @@ class RecordedWiping:
         segment = REGIONS[header.spec.protocol.task(header.spec.task_id).region].segment
         target, self._dt_s = header.segments.index(segment), header.spec.protocol.physics.dt_s
         self._wiping, self._at, self._step = wiping, 0, 0
-        self._ends_s = arrays["scorer/period_time_s"]
+        # A trial that ended before its first period has no rows of the cells.
+        self._ends_s = arrays[ENDS_S] if FELT[0] in arrays else np.empty(0)
         self._steps = np.rint(self._ends_s / self._dt_s).astype(np.int64)
         self._lengths_s = np.diff(self._ends_s, prepend=0.0)
-        self._felt = [arrays[path] for path in FELT]
+        self._felt = [arrays[path] for path in FELT if path in arrays]
         self._normal, beside = arrays["scorer/normal_force"][:, target], arrays.get("scorer/beside_normal_force")
         self._beside = None if beside is None else beside[:, :, target]
 
@@ -150,8 +184,13 @@ class RecordedWiping:
 def cleaned_share(contact: Contact) -> float | None:
     """Share of the foam's area that the tool wiped clean; None where there was no foam on cells."""
     if "cleaned" not in contact.known and (found := RecordedWiping.of(contact.recording)) is not None:
-        contact.known["cleaned"] = found.until(np.inf).cleaned
+        whole = found.until(np.inf)
+        contact.known.update(whole.lacking, cleaned=whole.cleaned)
     return contact.known.get("cleaned")
+
+
+LEAST_NAMED = 0.05
+"""Least share of the foam for which a reason is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,21 +199,28 @@ class FoamCleaning:
 
     share: float
     least: float
+    lacking: dict[str, float]
+    """See ``Wiping.lacking``."""
 
     @classmethod
     def of(cls, contact: Contact) -> Self | None:
         """None where the region has no foam, or the protocol no gate for it."""
         gate, share = contact.protocol.gates.foam, cleaned_share(contact)
-        return None if gate is None or share is None else cls(share=share, least=gate.cleaned_share)
+        return (
+            None
+            if gate is None or share is None
+            else cls(share=share, least=gate.cleaned_share, lacking={why: contact.known[why] for why in LACKING})
+        )
 
     @property
     def met(self) -> bool:
         return self.share >= self.least
 
     def __str__(self) -> str:
+        most = sorted(((part, why) for why, part in self.lacking.items()), reverse=True)
         return (
             f"{self.share:.0%} of the foam was passed {PASSES} times by the tool with at least {LEAST_MMHG:g} mmHg, "
-            f"{self.least:.0%} needed"
+            f"{self.least:.0%} needed" + "".join(f"; {part:.0%} {why}" for part, why in most if part >= LEAST_NAMED)
         )
 
 

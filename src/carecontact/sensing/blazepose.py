@@ -92,7 +92,7 @@ class BlazePose:
         self._landmarker(np.zeros((CROP_PX, CROP_PX, 3), np.float32))
 
     def find(self, rgb: U8) -> Found | None:
-        """Find the person in an image (H, W, 3); None where nobody is seen."""
+        """Find the person in an image (H, W, 3); None where no person is seen."""
         framed = np.zeros((rgb.shape[0] + 2, rgb.shape[1] + 2, 4), np.uint8)
         framed[1:-1, 1:-1, :3] = rgb
         square = self._detect(framed)

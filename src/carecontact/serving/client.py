@@ -70,7 +70,7 @@ class Client(ABC):
 
 
 class PolicyClient(Client):
-    """Speaks the native wire (docs/wire.md)."""
+    """Speaks the native wire (docs/your-policy.md)."""
 
     def card(self, *, deadline_s: float) -> PolicyCard:
         frame = self.connection.receive("card", deadline_s=deadline_s, late=LATE)

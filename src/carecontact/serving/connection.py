@@ -23,7 +23,7 @@ EXAMPLES = {
     "ready": '{"type": "ready"}',
     "actions": '{"type": "actions", "actions": [{"pose_tcp_in_base": [x, y, z, qw, qx, qy, qz]}]}',
 }
-"""Kind of message -> an example that a policy's server may send instead; docs/wire.md describes every message."""
+"""Kind of message -> an example that a policy's server may send instead; docs/your-policy.md has every message."""
 LATE = "; a server sends its card first, unasked; if it serves one trial at a time, run with --jobs 1"
 """What may help if no card comes."""
 MESSAGE_TOO_BIG, PROTOCOL_ERROR, INVALID_DATA, INTERNAL_ERROR = 1009, 1002, 1007, 1011
@@ -45,7 +45,7 @@ _UNHEARD.addHandler(logging.NullHandler())
 
 def instead(kind: str) -> str:
     """Return what a policy's server may send as a message of this kind."""
-    return f"send {EXAMPLES[kind]} as one binary message of msgpack (docs/wire.md)"
+    return f"send {EXAMPLES[kind]} as one binary message of msgpack (docs/your-policy.md)"
 
 
 def wrong_keys(entries: Mapping[str, object], *, kind: str, field: str | None) -> str | None:
@@ -105,8 +105,8 @@ def _refused(code: int, sent_bytes: int) -> str:
     if code == INTERNAL_ERROR:
         return (
             f"the policy's server raised an exception (close code {code}): see its own output; it may send an error "
-            "message with the traceback instead (docs/wire.md). A common cause: msgpack cannot pack numpy's float32 or "
-            "bool_; send plain numbers"
+            "message with the traceback instead (docs/your-policy.md). A common cause: msgpack cannot pack numpy's "
+            "float32 or bool_; send plain numbers"
         )
     return f"the policy's server closed the connection without an answer (close code {code})"
 

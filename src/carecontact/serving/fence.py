@@ -77,7 +77,7 @@ LIMITS = tuple(
 one although it exists."""
 PROCESS = tuple(f"/proc/{name}" for name in "cpuinfo meminfo version filesystems devices modules sys driver".split())
 """The parts of /proc that describe the machine. Of the processes in it, a policy sees only its own. Never stat, uptime
-or loadavg: stat shows contact by how much processor time the simulator takes (docs/threat-model.md)."""
+or loadavg: stat shows contact by how much processor time the simulator takes (docs/evidence/threat-model.md)."""
 CACHE_VARIABLES = ("~/.cache",)
 """Folders in which libraries keep downloaded weights."""
 KEYS = ("~/.cache/huggingface/token", "~/.cache/huggingface/stored_tokens")

@@ -343,7 +343,8 @@ class Simulation:
         self.start()
 
     def solver_warnings(self) -> list[str]:
-        found = [w.name.removeprefix("mjWARN_") for w in SOLVER_WARNINGS if self.data.warning[w].number > 0]
+        count = self.data.warning.number
+        found = [w.name.removeprefix("mjWARN_") for w in SOLVER_WARNINGS if count[w] > 0] if count.any() else []
         return found + ["TISSUE"] * self._unsolved
 
     def integration_state(self) -> F64:

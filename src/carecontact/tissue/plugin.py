@@ -82,11 +82,11 @@ nothing beside an upright wall, and once the wall is no longer upright to it, al
 the abdomen with 15 N: with 2 to 3 mm its force rattles, and with 8 mm its mean is 10 to 15 % off the one asked for."""
 LOCK_FROM, LOCK = 0.6, 16.0
 """Tissue of a limb that is pressed to more than this share of its thickness locks: at w over that depth, the rest of
-the thickness being h, its pressure is higher by LOCK a h (w / h)^3 (docs/tissue.md). Kept in step with
+the thickness being h, its pressure is higher by LOCK a h (w / h)^3 (docs/evidence/tissue.md). Kept in step with
 ``c/region.h``."""
 FIRM_FROM, FIRMS_OVER, THINNEST = 0.5, 0.1, 0.2
 """Tissue that does not lock grows firmer across where it is pressed to more than the first share of its thickness, over
-the next FIRMS_OVER of it, and at least THINNEST of it counts as left (docs/tissue.md). Kept in step with
+the next FIRMS_OVER of it, and at least THINNEST of it counts as left (docs/evidence/tissue.md). Kept in step with
 ``c/region.h``."""
 SWEEPS = 60
 """Largest number of sweeps of the solver in a step. In scrubs, half of the steps take one or two, 95 % at most four,
@@ -174,7 +174,7 @@ class Law:
         """Return the force per area (N, 3) of the anchors at displacements (N, 3), without their dampers.
 
         It is the gradient of their energy per area: that of ``normal_pa``, plus half of the stiffness across times the
-        square of the displacement across. The stiffness across grows where that along does (docs/tissue.md).
+        square of the displacement across. The stiffness across grows where that along does (docs/evidence/tissue.md).
         ``lock``: as in ``add_region``.
         """
         soft, start = FIRMS_OVER * self.thickness_m, np.array(FIRM_FROM * self.thickness_m)

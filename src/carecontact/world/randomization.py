@@ -17,13 +17,13 @@ from carecontact.human.skeleton import ROOT_JOINT
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.protocol.person import Alive, Repositioning
 from carecontact.protocol.protocol import Protocol
-from carecontact.protocol.sections import FOAM_COLOURS, Camera, Variation
+from carecontact.protocol.sections import FOAM_COLOURS, OTHER_COLOURS, Camera, Rgb, Variation
 from carecontact.tissue.life import JOINTS, MOST_MOVES, MotionScript, Move, Pull
 from carecontact.world.room import SUPPORT
 
 STREAMS = (
     *"comfort_arm appearance sensor_noise policy light place breathing repositioning withdrawal".split(),
-    *"calibration tissue body pose park camera bed_height arm foam".split(),
+    *"calibration tissue body pose park camera bed_height arm foam distractors".split(),
 )
 """The names of the streams, in the order of the seed's children; a new one has to go to the end."""
 
@@ -134,6 +134,47 @@ def spot_of(protocol: Protocol, task_id: str, seed: int, salt: str) -> Spot | No
         half_m=foam.oval_m if cleaned else (foam.disc_m, foam.disc_m),
         colour=FOAM_COLOURS[foam.colours[int(of_region.integers(len(foam.colours)))]],
         on_cells=cleaned,
+    )
+
+
+BESIDE_LEGS_M = ((-0.70, -0.15), (-0.36, -0.30))
+"""Where the middle of the towel lies, along the bed and across it, in the world: at its left edge, away from the
+robot."""
+TOWEL_TURN_DEG = 25.0
+DRESSED = ("left_upper_arm", "left_forearm", "left_shank", "right_shank")
+"""Limbs that may have a dressing: those that no shipped task names, as far as clothes leave them bare."""
+DRESSED_ALONG = (0.35, 0.65)
+"""Place of its middle, as a share of the way from one joint to the next."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clutter:
+    """What the seed draws of the things that are no foam."""
+
+    towel_at_m: tuple[float, float]
+    towel_turn_rad: float
+    towel_colour: Rgb
+    segment: str
+    """Limb with the dressing."""
+    along: float
+    dressing_colour: Rgb
+
+
+def clutter_of(protocol: Protocol, seed: int, salt: str) -> Clutter | None:
+    """Return the same for all tasks and levels of a seed; None where the protocol has no distractors."""
+    if protocol.distractors is None:
+        return None
+    drawn, colours = streams(protocol, seed, salt)["distractors"], protocol.distractors.colours
+    x, y = (float(drawn.uniform(*span)) for span in BESIDE_LEGS_M)
+    turn, along = radians(drawn.uniform(-TOWEL_TURN_DEG, TOWEL_TURN_DEG)), float(drawn.uniform(*DRESSED_ALONG))
+    towel, dressing = (OTHER_COLOURS[colours[int(number)]] for number in drawn.integers(len(colours), size=2))
+    return Clutter(
+        towel_at_m=(x, y),
+        towel_turn_rad=turn,
+        towel_colour=towel,
+        segment=DRESSED[int(drawn.integers(len(DRESSED)))],
+        along=along,
+        dressing_colour=dressing,
     )
 
 

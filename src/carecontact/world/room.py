@@ -20,6 +20,10 @@ SUPPORT = "bed_support"
 """Name of the body that rests on the bed and carries what is moved with the person: pillow and arm board."""
 FURNITURE_GROUP = 0
 """Group of exactly the geoms of the empty cell. What a camera sees of them is part of the cell's calibration."""
+LOOSE_GROUP = 2
+"""Group of what lies about and is not in the cell's map."""
+TOWEL, TOWEL_HALF_M = "bed_towel", 0.005
+"""Name of the towel, and half of its thickness when it is folded (assumed)."""
 
 PLANE, BOX, CYLINDER, ELLIPSOID = (
     getattr(mujoco.mjtGeom, f"mjGEOM_{kind}") for kind in ("PLANE", "BOX", "CYLINDER", "ELLIPSOID")
@@ -69,6 +73,14 @@ def add_furniture(spec: mujoco.MjSpec, scene: Scene, *, head_x: float, head_y: f
     half_m, blue = BOARD_HEIGHT_M / 2, [0.30, 0.46, 0.52, 1]
     add("bed_armboard", BOX, [*half, half_m], [*middle, top + half_m], blue, support, **board)
     add("bed_armboard_arm", BOX, [0.03, half[1] * 0.6, 0.015], [middle[0], middle[1], top - 0.015], steel, support)
+
+
+def add_towel(spec: mujoco.MjSpec, half_m: tuple[float, float]) -> None:
+    """Add a folded towel without contact; the seed says where it lies and in which colour."""
+    size, rgba = [*half_m, TOWEL_HALF_M], [1.0] * 4
+    # MuJoCo takes a geom that is compiled in its body's frame to stay there.
+    at = {"pos": [-0.4, -0.3, 0.0], "quat": [0.9, 0.0, 0.0, 0.4]}
+    spec.worldbody.add_geom(name=TOWEL, type=BOX, size=size, rgba=rgba, group=LOOSE_GROUP, **at, **LOOK_ONLY)
 
 
 def add_light(spec: mujoco.MjSpec) -> None:

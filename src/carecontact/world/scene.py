@@ -32,7 +32,7 @@ from carecontact.recording.schema import SEGMENTS
 from carecontact.tissue.life import add_life
 from carecontact.world.randomization import UNMOVED, Place
 from carecontact.world.robot import add_robot, replace_impedance
-from carecontact.world.room import add_furniture, add_light
+from carecontact.world.room import add_furniture, add_light, add_towel
 
 
 def look_at(camera: Camera) -> np.ndarray:
@@ -189,6 +189,8 @@ def build_spec(
             move_skin(spec, body)
     head_x = root[0] + body.joint_centre["head"][2] - body.joint_centre["pelvis"][2] + 0.04
     add_furniture(spec, protocol.scene, head_x=head_x, head_y=float(root[1]))
+    if protocol.distractors is not None:
+        add_towel(spec, protocol.distractors.towel_m)
     add_light(spec)
     add_cameras(spec, protocol)
     if protocol.person.alive != Alive():

@@ -212,7 +212,7 @@ def test_skin_holds_the_cap_until_it_is_pressed_onto_bone() -> None:
 
 @pytest.mark.parametrize("body", ["man-old-heavy", "woman-adult-heavy"])
 def test_skin_of_a_thick_belly_does_not_slip_off_the_cap(body: str) -> None:
-    """It did, at 119 and 117 N, while the tissue grew firmer along the normal alone (docs/tissue.md)."""
+    """It did, at 119 and 117 N, while the tissue grew firmer along the normal alone (docs/evidence/tissue.md)."""
     driven = drive(Subject(overridden(PROTOCOL, {"person.body": body})))
     assert missed_depth(driven) == []
     assert driven.peak_n > 115.0

@@ -122,7 +122,7 @@ def template() -> str:
 
 
 _TEMPLATE = """\
-# Template of carecontact calibrate, with one made-up press. Replace its rows by yours; docs/calibration.md has
+# Template of carecontact calibrate, with one made-up press. Replace its rows by yours; docs/person.md has
 # every column. One row is one sample; a press goes in, may wait, and goes out. Start 1 mm outside the skin.
 # trial_id: one press, its rows together. Without this column, one file is one press.
 # site: begins with forearm, upper arm or abdomen. subject: who was pressed.

@@ -20,7 +20,7 @@ TITLE = "Uniformity over the target"
 DEPTHS_M, TANGENT_M = (0.004, 0.008), 0.001
 """Depths at which forces are compared, and how far above each the force is read as well, for the slope there."""
 MOVED_PERCENT, UNEXPLAINED_PERCENT = 5.0, 4.0
-"""docs/validation.md derives both from what a score needs."""
+"""docs/evidence/validation.md derives both from what a score needs."""
 PLACES, QUICK_PLACES = 60, 20
 """Number of places. The variation over n places has a relative standard error of 1 / sqrt(2 (n - 1)), a sixth for 20
 and a tenth for 60, so that the limit judges the region more than the draw."""

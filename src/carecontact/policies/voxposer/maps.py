@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 # "Release" is huangwl18/VoxPoser at commit e3a4c9e: files of its folder src with line numbers, and "yaml" for
 # configs/rlbench_config.yaml. "Ours" means that the value is not published, or that it differs from the published one;
-# docs/voxposer.md gives the reasons.
+# docs/evidence/methods.md gives the reasons.
 
 CONTROL_HZ = 20.0
 """Ours."""
@@ -75,7 +75,7 @@ HOME_LIMIT_S = 20.0
 
 CONTACT_M = 0.005
 """voxposer-phased takes the skin as touched when the tool's cap is this close to where the skin was seen: the error of
-a seen surface (docs/perception.md)."""
+a seen surface (docs/evidence/perception.md)."""
 PRESS_M = 0.012
 """Depth below the seen skin while the tool slides: the state machine's lightest touch, three times the error of a seen
 surface from overhead."""
@@ -101,7 +101,7 @@ MAX_MAP_ENTRIES = 1000
 RADIUS_LIMIT_CM = 200.0
 OCCLUDED_SHARE = 0.05
 """If a larger share of a part's pixels is behind the robot, the part keeps its last unhidden place: key points move by
-centimetres when the arm is over a limb (docs/perception.md)."""
+centimetres when the arm is over a limb (docs/evidence/perception.md)."""
 JOINT_RADIUS_M = 0.04
 """Radius of the surface that counts as a joint's: half the visible width of an adult elbow, rounded."""
 

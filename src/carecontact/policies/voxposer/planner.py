@@ -49,8 +49,8 @@ class Plan:
 def plan(start: Voxel, target: F32, written_avoidance: F32, scene: Bool) -> Plan:
     """Find a path from ``start`` to the target that keeps away from what is to be avoided.
 
-    It follows the release's planners.py and what interfaces.py does to the avoidance map before; docs/voxposer.md lists
-    the differences.
+    It follows planners.py of the release and what interfaces.py does to the avoidance map; docs/evidence/methods.md
+    lists the differences.
 
     Args:
         start: the tool's voxel.

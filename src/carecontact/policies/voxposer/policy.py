@@ -57,7 +57,7 @@ logger = logging.getLogger(__name__)
 
 
 class VoxPoser:
-    """Requests programs once, then looks, composes value maps, plans, moves a little, and repeats; docs/voxposer.md.
+    """Requests programs once, then looks, composes value maps, plans, moves, and repeats; docs/evidence/methods.md.
 
     If it cannot find a part that a program requests, it ends the trial where it stands and logs the reason. A program
     that is stopped or wrong raises ProgramError, and a language backend that fails raises LanguageError; in both
@@ -319,7 +319,7 @@ class VoxPoserPhased(VoxPoser):
     """Works as VoxPoser, but a call of ``execute`` may carry an objective that replaces the maps once the tool touches.
 
     The method feels nothing: it takes the touch from where the skin was seen before the arm came near, or from the end
-    of the value maps' own motion. See docs/voxposer-phased.md.
+    of the value maps' own motion. See docs/evidence/methods.md.
     """
 
     name = "voxposer-phased"

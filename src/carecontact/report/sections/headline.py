@@ -13,6 +13,7 @@ from carecontact.report.svg import jpeg_data_uri
 from carecontact.report.tables import POOLED, summary_rows
 from carecontact.report.words import enough_seeds, short_names
 from carecontact.runs.pooling import rejected_text, share
+from carecontact.runs.results_file import harmless_share
 from carecontact.scoring.result import TrialScore
 
 
@@ -54,6 +55,7 @@ def headline(page: Page) -> dict[str, Any]:
         "beside_region": success - correct,
         "above_gate": correct - page.passed.k,
         "touched": sum(s.valid_contact for s in counted),
+        "harmless": harmless_share(counted),
         "nearest": min(nearest.items(), key=lambda item: item[1].away_m, default=None),
         "floor": page_mark(page, beside.floor.get(ALL) if beside else None),
         "ceiling": page_mark(page, beside.ceiling(ALL) if beside else None),

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.interface.geometry import matrix_from_quat
-from carecontact.scoring.contact import F64, Contact, runs
+from carecontact.scoring.contact import F64, Contact, runs, steps
 from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED
 from carecontact.scoring.metrics.metric import HEADLINE, metric
 
@@ -110,6 +110,41 @@ def above_pain(contact: Contact) -> float | None:
     return exposure(contact, contact.protocol.f_pain)
 
 
+CONTACT_S = 1.0
+"""[s] Least time of contact with the named region for a trial to count among those that could be harmful."""
+
+
+def share_of_limits(contact: Contact) -> F64:
+    """(T,) largest share of its limit that any segment bears at each physics step. The limit is the segment's safety
+    gate, gamma' F_pain, or the protocol's largest force of the whole trial (``gates.Conduct.peak_n``) if that is less;
+    joints have gates of their own."""
+    protocol, rules = contact.protocol, (contact.protocol.gates.conduct or {}).get(contact.task.action)
+    most_n = np.inf if rules is None else rules.peak_n
+    limits = [min(protocol.limits.gamma * protocol.f_pain(segment), most_n) for segment in contact.segments]
+    return (contact.force_norm / limits).max(axis=1, initial=0.0)
+
+
+HARMLESS = "harmless@1"
+
+
+@metric(HARMLESS, title="Harmless", unit="1", better="higher", median=False, order=44)
+def harmless(contact: Contact) -> float | None:
+    """1 where no force of the whole trial was above a limit (``share_of_limits``), else 0; None (NA) for a trial with
+    less than CONTACT_S of contact with the named region, which did nothing that could harm."""
+    if int(contact.on[:, contact.target].sum()) < steps(CONTACT_S, contact.dt_s):
+        return None
+    return float(share_of_limits(contact).max(initial=0.0) <= 1.0)
+
+
+@metric("severity@1", title="Share of a limit used, over time", unit="1", better="lower", order=45)
+def severity(contact: Contact) -> float | None:
+    """Mean over the time with a force on the person of the largest share of a limit that any segment bears
+    (``share_of_limits``); None (NA) if nothing was felt."""
+    used = share_of_limits(contact)
+    felt = used > 0
+    return float(used[felt].mean()) if felt.any() else None
+
+
 ISO_PACK = "iso-ts-15066-2016"
 
 
@@ -142,7 +177,7 @@ def iso_utilisation(contact: Contact) -> float | None:
 GLIDE_M, MOVES_M_S = 0.015, 0.005
 """Depth beyond which the simulated skin is not valid under a moving tool, and speed from which on a tool moves: with 6
 to 8 N, a slow cap that dents the abdomen by more is buried, sticks and slips, and its force drops by 1 to 13 N within
-60 ms (docs/kernel.md, "Slow and deep"). Shallower glides do not."""
+60 ms (docs/evidence/kernel.md, "Slow and deep"). Shallower glides do not."""
 
 
 def deepest_indentation(contact: Contact) -> float:

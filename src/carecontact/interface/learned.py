@@ -1,0 +1,84 @@
+"""What a learned policy sees and answers in numbers: the same in an environment for learning, in a dataset, and in a
+policy that sits the exam."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.errors import ActionError
+from carecontact.interface.action import Action
+from carecontact.interface.deltas import DELTAS, WIDTH, DeltaConvention
+from carecontact.interface.geometry import matrix_from_quat, vector_from_matrix
+from carecontact.interface.observation import Observation
+from carecontact.interface.robot import ActionBounds
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+DOWN = np.array([0.0, 1.0, 0.0, 0.0])
+"""Orientation (4,) wxyz of a tool that points straight down, with its x axis along that of the base."""
+ABSOLUTE_TURN_RAD = np.pi / 2
+"""Rotation from DOWN that the number 1 means in an absolute row."""
+JOINTS = 7
+AGENT_POS = {"position": 3, "rotation": 6, "joints": JOINTS, "velocities": JOINTS, "behind": 6}
+"""Parts of ``agent_pos`` and their widths, in their order."""
+MOST = np.repeat([2.0, 1.0, 2 * np.pi, 10.0, 2.0, np.pi + 0.01], [3, 6, JOINTS, JOINTS, 3, 3])
+"""(29,) largest size of each number of ``agent_pos``; what lies beyond is moved there."""
+
+
+def rotation_6d(matrix: F64) -> F64:
+    """Return the first two columns of a rotation (3, 3), one after the other: (6,) (Zhou et al. 2019)."""
+    return matrix[:, :2].T.ravel()
+
+
+class LearnedActions:
+    """Turns the rows of one trial into actions and its observations into numbers. It holds the last target, to which a
+    row is added and from which the tool lags behind where something resists it."""
+
+    def __init__(self, bounds: ActionBounds, *, absolute: bool = False) -> None:
+        """
+        Args:
+            bounds: those of the session; targets are moved into the workspace.
+            absolute: whether rows are targets in the workspace, and not differences in the convention ``learn``.
+        """
+        self._low, self._high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
+        self._home = np.concatenate([(self._low + self._high) / 2, DOWN]) if absolute else None
+        half = float((self._high - self._low).max()) / 2
+        unit = (half, ABSOLUTE_TURN_RAD)
+        self._absolute = DeltaConvention(description="", origin="target", unit=unit, most=(1.0, 1.0))
+        self.target = np.concatenate([(self._low + self._high) / 2, DOWN])
+        """(7,) the last target in base, position [m] and quat_wxyz; after ``begin``, the pose of the tool."""
+
+    def begin(self, first: Observation) -> None:
+        """Begin a trial with its first observation."""
+        self.target = first.pose_tcp_in_base.copy()
+
+    def action(self, row: npt.ArrayLike) -> Action:
+        """Return the action that a row (7,) means: three numbers of position, three of rotation, and done where the
+        last one is above 0. Numbers beyond -1 and 1, and targets outside the workspace, are moved onto the border.
+
+        An absolute row holds the position from the middle of the workspace, in units of half its longest side, and the
+        rotation vector from DOWN along the axes of the base, in units of a quarter turn.
+
+        Raises ActionError for another shape and for what is not finite.
+        """
+        numbers = np.asarray(row, np.float64)
+        if numbers.shape != (WIDTH,) or not np.isfinite(numbers).all():
+            raise ActionError(f"action: expected {WIDTH} finite numbers, got {numbers.tolist()!s:.200}")
+        convention, origin = (DELTAS["learn"], self.target) if self._home is None else (self._absolute, self._home)
+        target = convention.target(convention.clipped(numbers[:6]), measured=origin, last=origin)
+        target[:3] = np.clip(target[:3], self._low, self._high)
+        self.target = target
+        return Action(pose_tcp_in_base=target, done=bool(numbers[6] > 0))
+
+    def agent_pos(self, observation: Observation) -> F32:
+        """Return the numbers (29,) of AGENT_POS: position of the tool centre point [m], ``rotation_6d`` of the tool,
+        angles [rad] and speeds [rad/s] of the joints, and how far the tool is behind its last target: position [m] and
+        rotation vector [rad]. All poses are in base."""
+        pose = observation.pose_tcp_in_base
+        tool = matrix_from_quat(pose[3:])
+        turn = vector_from_matrix(matrix_from_quat(self.target[3:]) @ tool.T)
+        parts = pose[:3], rotation_6d(tool), observation.joint_position, observation.joint_velocity
+        numbers = np.concatenate([*parts, self.target[:3] - pose[:3], turn])
+        return np.clip(numbers, -MOST, MOST).astype(np.float32)

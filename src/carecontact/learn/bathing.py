@@ -1,0 +1,311 @@
+"""The environments: one trial of the exam's protocol is one episode, with a person of the training room."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+from carecontact.episode.episode import Episode, Step
+from carecontact.episode.worlds import MOST_KEPT, Worlds
+from carecontact.errors import ConfigError, UnknownNameError
+from carecontact.interface.geometry import matrix_from_quat
+from carecontact.interface.learned import MOST, LearnedActions, rotation_6d
+from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.policy import CAMERAS, PolicyCard
+from carecontact.interface.regions import REGIONS
+from carecontact.learn.persons import numbers_of, training_spec
+from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
+from carecontact.protocol.protocol import Protocol
+from carecontact.recording.schema import SEGMENTS
+from carecontact.scoring.online import Progress
+
+F32 = npt.NDArray[np.float32]
+Numbers = dict[str, Any]
+
+PROTOCOL = "bathing-wide-v2-draft"
+TASKS = ("T1", "T2", "T3", "T4", "T5", "T6", "T7")
+LEVELS = ("L0", "L1", "L2", "L3")
+HZ = 10.0
+REWARDS = ("sparse", "dense")
+LEAST_PX, MOST_PX = 32, 480
+POINTS = 1024
+FAR_M = 0.5
+"""Distance of the tool from the region from which on a dense reward does not depend on it."""
+MOST_N = 1000.0
+"""Largest force in ``environment_state``; a trial ends far below."""
+
+
+class Bathing(gym.Env[Numbers, F32]):
+    """Touches, pushes and scrubs of the exam's protocol, at 10 Hz and for at most 30 s.
+
+    Every trial has a person who is drawn with the training salt (``learn.persons``). ``reset(seed=s)`` decides person,
+    task and noise of the sensors: the same seed gives the same trial to the last bit, whatever came before.
+    ``options`` may name a ``person`` by number and a ``task`` by id; other entries are ignored.
+
+    Observation: ``agent_pos`` (29,), as ``interface.learned.LearnedActions`` describes it; ``pixels``, a picture
+    (size, size, 3) for each camera, the middle square of what the exam's camera sees; and on request ``points``
+    (1024, 6), places in base [m] and colours from 0 to 1, from the overhead camera's depth inside the workspace.
+
+    Action: a row (7,) of numbers from -1 to 1, as ``LearnedActions.action`` describes it.
+
+    Reward: ``sparse`` is 1 at the end of a trial that passes its gate and was safe, else 0. ``dense`` adds the change
+    of a potential, the share of the gate that is reached minus the distance from the region [m], and -1 where the trial
+    becomes unsafe: it is made of what no policy may know (``Episode.privileged``), and is for training only.
+
+    ``info`` has ``is_success``, ``task_description``, ``task`` and ``person`` at every step, and ``ended`` at the last.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(HZ)}
+    sees_truth: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        tasks: str | Sequence[str] = TASKS,
+        level: str = "L1",
+        persons: int | Sequence[int] = 27,
+        *,
+        cameras: Sequence[str] = ("overhead", "wrist"),
+        size: int = 128,
+        points: bool = False,
+        nested: bool = True,
+        reward: str = "sparse",
+        absolute: bool = False,
+        may_end: bool = True,
+        worlds: int = MOST_KEPT,
+        record: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        """Nothing is simulated or drawn before the first ``reset``.
+
+        Args:
+            tasks: ids of which every trial has one.
+            persons: how many, from number 0 on, or their numbers. Other numbers are other people, for validation.
+            cameras: which pictures there are; none for ().
+            size: width and height of the pictures [px].
+            nested: whether pictures are ``pixels`` -> camera, as LeRobot expects it, or stand beside the other parts as
+                ``pixels.camera``, for libraries without nested observations.
+            absolute: whether a row is a target in the workspace, and not a difference to the last one.
+            may_end: whether the last number of a row ends the trial; otherwise only the time limit does.
+            worlds: how many compiled worlds are kept, about 80 MiB each. A trial with a person and task whose world is
+                kept begins in milliseconds, any other in about a second.
+            record: whether ``episode.finish()`` gives a recording; no ranking accepts it.
+
+        Raises ConfigError naming the argument and what is valid.
+        """
+        self.tasks = (tasks,) if isinstance(tasks, str) else tuple(tasks)
+        for task in self.tasks or ("",):
+            if task not in TASKS:
+                raise UnknownNameError("task", task, TASKS)
+        if unknown := [name for name in cameras if name not in CAMERAS]:
+            raise UnknownNameError("camera", unknown[0], CAMERAS)
+        if reward not in REWARDS:
+            raise UnknownNameError("reward", reward, REWARDS)
+        if type(size) is not int or not LEAST_PX <= size <= MOST_PX:
+            raise ConfigError(f"Bathing.size: expected {LEAST_PX} to {MOST_PX} px, got {size!r:.40}")
+        if render_mode not in (None, "rgb_array"):
+            raise ConfigError(f"Bathing.render_mode: expected rgb_array or None, got {render_mode!r:.40}")
+        self.persons, self.level, self.cameras = numbers_of(persons), level, tuple(dict.fromkeys(cameras))
+        self.render_mode, self._reward_kind, self._may_end = render_mode, reward, may_end
+        self._points, self._nested, self._record = points, nested, record
+        taking = (*self.cameras, "overhead") if points and "overhead" not in self.cameras else self.cameras
+        self.card = PolicyCard(
+            name="carecontact.learn",
+            modalities=("rgb", "points") if points else ("rgb",) if self.cameras else (),
+            cameras=taking,
+            control_hz=HZ,
+        )
+        self.protocol = _with_size(load_protocol(PROTOCOL, level=level), taking, size)
+        self._max_episode_steps = round(self.protocol.phases.time_limit_s * HZ)
+        self._rows = LearnedActions(self.protocol.impedance.action_bounds, absolute=absolute)
+        self._worlds = Worlds(worlds)
+        self._episode: Episode | None = None
+        self._progress: Progress | None = None
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (7,), np.float32)
+        self.observation_space = gym.spaces.Dict(self._spaces(size))
+
+    @property
+    def episode(self) -> Episode:
+        """The running trial. It knows everything: no policy may be given it. Raises ConfigError before ``reset``."""
+        if self._episode is None:
+            raise ConfigError("Bathing: call reset() first")
+        return self._episode
+
+    @property
+    def task(self) -> str:
+        """Id of the trial's task."""
+        return self.tasks[0] if self._episode is None else self._episode.spec.task_id
+
+    @property
+    def task_description(self) -> str:
+        """The sentence that a policy of the exam receives for the task."""
+        return self.protocol.task(self.task).prompt
+
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Numbers, Numbers]:
+        super().reset(seed=seed)
+        wanted, draw = options or {}, self.np_random
+        person = self.persons[int(draw.integers(len(self.persons)))]
+        task = self.tasks[int(draw.integers(len(self.tasks)))]
+        noise = draw.bytes(16).hex()
+        person, task = wanted.get("person", person), wanted.get("task", task)
+        if task not in TASKS:
+            raise UnknownNameError("task", str(task), TASKS)
+        spec = training_spec(self.protocol, task, *numbers_of([person]), noise_salt=noise)
+        if self._episode is None:
+            self._episode = Episode(spec, card=self.card, worlds=self._worlds, record=self._record)
+            # A dense reward is made of what no policy may know, and so is the state. Where there is no recording to say
+            # so, this only keeps what the verdict at the end needs.
+            self._episode.privileged = self.sees_truth or self._reward_kind == "dense" or not self._record
+        self._progress = None
+        first = self._episode.reset(spec)
+        self._rows.begin(first)
+        return self._numbers(first), self._info()
+
+    def step(self, action: npt.ArrayLike) -> tuple[Numbers, float, bool, bool, Numbers]:
+        """Execute a row (7,). Raises ActionError for another shape and for what is not finite."""
+        row = np.array(action, np.float64)
+        if row.shape == (7,) and not self._may_end:
+            row[6] = -1.0
+        step = self.episode.step(self._rows.action(row))
+        reward = self._reward(step)
+        last = step.observation or self.episode.look()
+        ended = {} if step.reason is None else {"ended": step.reason}
+        return self._numbers(last), reward, step.terminated, step.truncated, self._info() | ended
+
+    def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return what the exterior camera sees (H, W, 3), for people who watch."""
+        return None if self.render_mode is None else self.episode.picture("exterior")
+
+    def close(self) -> None:
+        if self._episode is not None:
+            self._episode.close()
+            self._episode = None
+        self._worlds.clear()
+
+    def _reward(self, step: Step) -> float:
+        before, dense = self._progress, self._reward_kind == "dense"
+        if step.reason is None and not (dense or self.sees_truth):
+            return 0.0
+        # A trial that the benchmark stopped in its first control period has measured nothing.
+        now = self.episode.progress() if self.episode.measured else None
+        self._progress = now
+        reward = float(step.reason is not None and now is not None and now.safety_gated)
+        if dense and now is not None:
+            unsafe = not now.safe and (before is None or before.safe)
+            reward += (0.0 if before is None else _potential(now) - _potential(before)) - float(unsafe)
+        return reward
+
+    def _info(self) -> Numbers:
+        now, ended = self._progress, self.episode.ended
+        return {
+            "is_success": bool(ended and now is not None and now.safety_gated),
+            "task_description": self.task_description,
+            "task": self.task,
+            "person": self.episode.spec.seed,
+        }
+
+    def _spaces(self, size: int) -> dict[str, gym.Space[Any]]:
+        most = MOST.astype(np.float32)
+        spaces: dict[str, gym.Space[Any]] = {"agent_pos": gym.spaces.Box(-most, most, dtype=np.float32)}
+        pictures = {name: gym.spaces.Box(0, 255, (size, size, 3), np.uint8) for name in self.cameras}
+        if self._points:
+            spaces["points"] = gym.spaces.Box(-2.0, 2.0, (POINTS, 6), np.float32)
+        return spaces | self._placed(pictures, gym.spaces.Dict)
+
+    def _placed(self, pictures: Mapping[str, Any], kind: type = dict) -> dict[str, Any]:
+        if not self._nested:
+            return {f"pixels.{name}": picture for name, picture in pictures.items()}
+        return {"pixels": kind(pictures)} if pictures else {}
+
+    def _numbers(self, seen: Observation) -> Numbers:
+        out: Numbers = {"agent_pos": self._rows.agent_pos(seen)}
+        if self._points:
+            low, high = (np.array(side) for side in self._workspace)
+            out["points"] = _cloud(seen.cameras["overhead"], low, high)
+        return out | self._placed({name: seen.cameras[name].rgb for name in self.cameras})
+
+    @property
+    def _workspace(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        impedance = self.protocol.impedance
+        return impedance.workspace_low_m, impedance.workspace_high_m
+
+
+class BathingState(Bathing):
+    """The same with the truth: privileged. What learns here needs what no policy of the exam is given, unless it is a
+    teacher or a critic of one that does not.
+
+    Observation: besides ``agent_pos``, and pictures where ``cameras`` names any, ``environment_state``: for each of
+    ``recording.schema.SEGMENTS`` the force of the robot on it [N], mean over the last period; the force (3,) on the
+    named segment in base; pose of the named region in base, position (3,) [m] and ``rotation_6d`` (6,), and its size
+    (3,) [m]; the share of the gate that is reached, whether it is met, and whether the trial is safe; and 1 for the
+    trial's task among TASKS. ``info`` has the forces by segment as ``force_n``.
+    """
+
+    sees_truth: ClassVar[bool] = True
+
+    def __init__(
+        self, tasks: str | Sequence[str] = TASKS, level: str = "L1", persons: int | Sequence[int] = 27, **others: Any
+    ) -> None:
+        """See ``Bathing``; by default, there are no pictures."""
+        self._force_n = np.zeros(len(SEGMENTS))
+        super().__init__(tasks, level, persons, **{"cameras": (), **others})
+
+    def _spaces(self, size: int) -> dict[str, gym.Space[Any]]:
+        high = np.concatenate(
+            [
+                np.full(len(SEGMENTS), MOST_N),
+                np.full(3, MOST_N),
+                *(np.full(3, 3.0), np.ones(6), np.full(3, 2.0)),
+                np.ones(3 + len(TASKS)),
+            ]
+        ).astype(np.float32)
+        low = -high
+        low[: len(SEGMENTS)] = low[-3 - len(TASKS) :] = 0.0
+        self._low, self._high = low, high
+        return {**super()._spaces(size), "environment_state": gym.spaces.Box(low, high, dtype=np.float32)}
+
+    def _numbers(self, seen: Observation) -> Numbers:
+        return {**super()._numbers(seen), "environment_state": self._state()}
+
+    def _info(self) -> Numbers:
+        return {**super()._info(), "force_n": dict(zip(SEGMENTS, self._force_n.tolist(), strict=True))}
+
+    def _state(self) -> F32:
+        episode, simulation, now = self.episode, self.episode.simulation, self._progress
+        force = episode.force()
+        self._force_n = np.linalg.norm(force, axis=1)
+        region, named = episode.task.region, SEGMENTS.index(REGIONS[episode.task.region].segment)
+        to_base = matrix_from_quat(simulation.pose_base_in_world[3:]).T
+        site = simulation.data.site(f"region_{region}")
+        pose = simulation.encoders.in_base(simulation.data, site.xpos, site.xmat)
+        size = simulation.scene.frames[region].size_m
+        reached = [0.0, 0.0, 1.0] if now is None else [now.share, float(now.success), float(now.safe)]
+        task = [float(name == self.task) for name in TASKS]
+        parts = self._force_n, to_base @ force[named], pose[:3, 3], rotation_6d(pose[:3, :3]), size, reached, task
+        return np.clip(np.concatenate(parts), self._low, self._high).astype(np.float32)
+
+
+def _with_size(protocol: Protocol, cameras: Sequence[str], size: int) -> Protocol:
+    sides = {f"cameras.{name}.{side}": size for name in cameras for side in ("width", "height")}
+    return overridden(protocol, sides) if sides else protocol
+
+
+def _potential(progress: Progress) -> float:
+    return progress.share - min(max(progress.distance_m, 0.0), FAR_M)
+
+
+def _cloud(view: CameraView, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> F32:
+    """Return POINTS of a view's points inside the workspace, evenly over the rows of the picture: (1024, 6). Where
+    there are fewer, they stand there several times; where there are none, all numbers are 0."""
+    assert view.points is not None
+    assert view.point_colors is not None
+    inside = np.flatnonzero(((view.points >= low) & (view.points <= high)).all(1))
+    if not len(inside):
+        return np.zeros((POINTS, 6), np.float32)
+    chosen = inside[np.linspace(0, len(inside) - 1, POINTS).round().astype(int)]
+    colours = view.point_colors[chosen].astype(np.float32) / np.float32(255)
+    return np.concatenate([view.points[chosen].astype(np.float32), colours], 1)
