@@ -107,7 +107,11 @@ def test_streams_are_the_documented_children_of_the_seed() -> None:
     words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 32, 4)]
     made = streams(PROTOCOL, 3, "")
     names = "comfort_arm appearance sensor_noise policy light place breathing repositioning withdrawal calibration"
-    assert tuple(made) == STREAMS == (*names.split(), *"tissue body pose park camera bed_height arm foam".split())
+    assert (
+        tuple(made)
+        == STREAMS
+        == (*names.split(), *"tissue body pose park camera bed_height arm foam distractors".split())
+    )
     for k, name in enumerate(STREAMS):
         child = np.random.SeedSequence([*words, 3], spawn_key=(k,))
         np.testing.assert_array_equal(made[name].random(4), np.random.default_rng(child).random(4))

@@ -79,7 +79,8 @@ def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
     """
     for name, scores in runs.items():
         check_one_run(scores)
-        check_ranked(scores, f"{name} ({scores[0].policy_title}): " if name.startswith("the ") else f"run {name}: ")
+        named = scores and name.startswith("the ")
+        check_ranked(scores, f"{name} ({scores[0].policy_title}): " if named else f"run {name}: ")
         if not judged(scores):
             raise ConfigError(
                 f"run {name} has no trial to compare: none is scored, or the harness failed in all of them; "
