@@ -246,7 +246,7 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
         ),
         ({"overrides": {"physics.dt_s": "0.004"}}, "with time step 0.004 s"),
         ({"metric_versions": {"contact": "contact-v2", "gates": "paper"}}, "contact contact-v1 and contact-v2"),
-        ({"world": {"mujoco": "4.1.0", "body": "ab" * 32}}, r"mujoco 4.0.0 \(T1-s000 of A\) and 4.1.0 \(T"),
+        ({"world": {"mujoco": "4.1.0", "body": "ab" * 32}}, r"mujoco 4.0.0 \(T1-s000 of run A\) and 4.1.0 \(T"),
         ({"seed": 3}, "A has T1 with seeds 0; B has T1 with seeds 3; run the same seeds"),
         ({"task_id": "T4"}, "no trial .* in common: A has T1 .*; B has T4"),
         (HARNESS, "B is incomplete, 0 of 1 planned trial has a verdict"),

@@ -115,8 +115,8 @@ class Episode:
             record: whether the trial is recorded; without a recording, a step takes less time.
 
         Raises:
-            ConfigError: ``spec`` is no trial, its protocol has no such task, its seed is no integer of at least 0, or
-                both ``prepare`` and ``worlds`` are given.
+            ConfigError: ``spec`` is not a trial, its protocol lacks the task, its seed is not an integer of at least 0,
+                or both ``prepare`` and ``worlds`` are given.
             SceneError, SettleError: the world cannot be built.
         """
         if prepare is not None and worlds is not None:
@@ -518,12 +518,12 @@ class Episode:
             steps -= count
             if (stopped := self._unrecorded(samples)) is not None:
                 return stopped
-            felt = self._person.period() if self._record or self._foam.wiped else {}
+            felt = self._person.period() if self._record or self._foam.present else {}
             self._foam.add(simulation.time_s, samples, felt)
             force_n = np.concatenate([lengths(s.force) for s in samples])
             if self._record:
                 row = {
-                    "scorer/period_time_s": simulation.time_s,
+                    ENDS_S: simulation.time_s,
                     "scorer/indentation_m": simulation.indentation(),
                     "scorer/target_in_base": simulation.control.target_in_base,
                 }
@@ -533,7 +533,7 @@ class Episode:
                 self._peak.look(force_n)
             elif self.privileged:
                 # All that progress toward the gate needs.
-                self.log.add_period(samples, {ENDS_S: simulation.time_s} | felt if self._foam.wiped else {})
+                self.log.add_period(samples, {ENDS_S: simulation.time_s} | felt if self._foam.present else {})
             over = force_n > self._most_n
             if over.any():
                 step, segment = np.argwhere(over)[0]
@@ -563,7 +563,7 @@ class Episode:
 
 
 def _check(spec: object) -> None:
-    """Raises ConfigError for what is no trial, before anything of the present one has changed."""
+    """Raises ConfigError if ``spec`` is not a valid trial. It runs before anything of the episode changes."""
     if not isinstance(spec, TrialSpec):
         raise ConfigError(
             f"Episode: expected a TrialSpec, got {spec!r:.80}; another trial of the same protocol is "

@@ -41,7 +41,7 @@ class Foam:
             self._paint(self._patch)
 
     @property
-    def wiped(self) -> bool:
+    def present(self) -> bool:
         """Whether there is any foam."""
         return self._wiping is not None
 

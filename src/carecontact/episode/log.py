@@ -228,7 +228,7 @@ class TrialLog:
 
     def arrays(self) -> Arrays:
         """Return all arrays of the recording so far."""
-        out = self._fixed | self._streams(STREAMS)
+        out = self.measured(STREAMS)
         out |= {path: np.array(rows, _dtype(path)) for path, rows in self._rows.items() if rows}
         return out | self.extra | self._pictures.arrays()
 
@@ -261,19 +261,6 @@ class TrialLog:
             if left <= 0:
                 break
         return total / max(1, steps - left)
-
-    def _streams(self, paths: Iterable[str]) -> Arrays:
-        out: Arrays = {}
-        for path in paths if self._samples else ():
-            blocks = [getattr(sample, STREAMS[path]) for sample in self._samples]
-            out[path] = np.concatenate(blocks).astype(_dtype(path))
-        touched = next((sample for sample in self._samples if sample.beside_normal is not None), None)
-        for path, name in BESIDE.items() if touched is not None else ():
-            blocks = [(len(sample.time_s), getattr(sample, name)) for sample in self._samples]
-            shape = getattr(touched, name).shape[1:]
-            filled = [np.zeros((count, *shape)) if block is None else block for count, block in blocks]
-            out[path] = np.concatenate(filled).astype(_dtype(path))
-        return out
 
 
 class _Grown:

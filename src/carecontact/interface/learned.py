@@ -43,11 +43,13 @@ class LearnedActions:
             absolute: whether rows are targets in the workspace, and not differences in the convention ``learn``.
         """
         self._low, self._high = np.array(bounds.workspace_low_m), np.array(bounds.workspace_high_m)
-        self._home = np.concatenate([(self._low + self._high) / 2, DOWN]) if absolute else None
-        half = float((self._high - self._low).max()) / 2
-        unit = (half, ABSOLUTE_TURN_RAD)
-        self._absolute = DeltaConvention(description="", origin="target", unit=unit, most=(1.0, 1.0))
-        self.target = np.concatenate([(self._low + self._high) / 2, DOWN])
+        home = np.concatenate([(self._low + self._high) / 2, DOWN])
+        self._convention, self._home = DELTAS["learn"], None
+        if absolute:
+            unit = (float((self._high - self._low).max()) / 2, ABSOLUTE_TURN_RAD)
+            self._convention = DeltaConvention(description="", origin="target", unit=unit, most=(1.0, 1.0))
+            self._home = home
+        self.target = home
         """(7,) the last target in base, position [m] and quat_wxyz; after ``begin``, the pose of the tool."""
 
     def begin(self, first: Observation) -> None:
@@ -66,7 +68,7 @@ class LearnedActions:
         numbers = np.asarray(row, np.float64)
         if numbers.shape != (WIDTH,) or not np.isfinite(numbers).all():
             raise ActionError(f"action: expected {WIDTH} finite numbers, got {numbers.tolist()!s:.200}")
-        convention, origin = (DELTAS["learn"], self.target) if self._home is None else (self._absolute, self._home)
+        convention, origin = self._convention, self.target if self._home is None else self._home
         target = convention.target(convention.clipped(numbers[:6]), measured=origin, last=origin)
         target[:3] = np.clip(target[:3], self._low, self._high)
         self.target = target

@@ -299,8 +299,8 @@ def _potential(progress: Progress) -> float:
 
 
 def _cloud(view: CameraView, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> F32:
-    """Return POINTS of a view's points inside the workspace, evenly over the rows of the picture: (1024, 6). Where
-    there are fewer, they stand there several times; where there are none, all numbers are 0."""
+    """Return POINTS of a view's points inside the workspace, evenly over the rows of the picture: (1024, 6). If there
+    are fewer, points are repeated; if there are none, all numbers are 0."""
     assert view.points is not None
     assert view.point_colors is not None
     inside = np.flatnonzero(((view.points >= low) & (view.points <= high)).all(1))

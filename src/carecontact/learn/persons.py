@@ -15,7 +15,7 @@ TRAINING_SALT = commitment("carecontact: persons for training")
 def numbers_of(persons: int | Sequence[int]) -> tuple[int, ...]:
     """Return the numbers of persons: of a count those from 0 on, or those that are given.
 
-    Raises ConfigError where there are none, or a number is negative or stands there twice.
+    Raises ConfigError if there are none, or if a number is negative or repeated.
     """
     expected = "Bathing.persons: expected a number of persons from 1 on, or different numbers of persons from 0 on"
     numbers = tuple(range(persons) if isinstance(persons, int) else persons)

@@ -19,7 +19,7 @@ from carecontact.interface.policy import PolicyCard, PolicyRef
 from carecontact.interface.robot import ActionBounds
 from carecontact.oracle.truth import Foamed, Follower, Truth, hold
 from carecontact.policies import state_machine as fixed
-from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, NEAR_SPEED_M_S, UP, Leg, sample, travel
+from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, NEAR_SPEED_M_S, UP, Leg, radial_quat, sample, travel
 from carecontact.policies.registry import is_privileged
 from carecontact.policies.state_machine import PlanningFailure, push, reachable, scrub, touch, travel_height
 from carecontact.protocol.gates import Task
@@ -98,7 +98,7 @@ class Press(_Motion):
         Args:
             rests: whether the tool stays where it came down until the force has been steady.
             down: (3,) unit vector in which the tool presses.
-            force_n: that is held.
+            force_n: force that is held [N].
         """
         super().__init__(truth, self._run(plan, rests))
         self._waited, self._down, self._force_n = 0, down, force_n
@@ -259,15 +259,14 @@ class Oracle:
             return Push(truth, legs, start)
         if self._task.action not in ("touch", "scrub"):
             raise PlanningFailure(f"the oracle has no primitive for the action {self._task.action}")
-        rests = self._task.action == "touch"
-        if (spot := truth.spot()) is not None:
-            legs = self._held(_at_foam(spot, self._task.action), list(spot.ways()))
-            plan = stages(travel(start, legs, travel_height_m=height), start)
-            down = matrix_from_quat(legs[0].quat_wxyz)[:, 2]
-            return Press(truth, plan, rests=rests, down=down, force_n=FORCE_N if rests else WASH_N)
-        contact = self._held(_pressed(geometry, self._task.action))
+        rests, spot, down, force_n = self._task.action == "touch", truth.spot(), -UP, FORCE_N
+        if spot is None:
+            contact = self._held(_pressed(geometry, self._task.action))
+        else:
+            contact = self._held(_at_foam(spot, self._task.action), list(spot.ways()))
+            down, force_n = matrix_from_quat(contact[0].quat_wxyz)[:, 2], FORCE_N if rests else WASH_N
         plan = stages(travel(start, contact, travel_height_m=height), start)
-        return Press(truth, plan, rests=rests)
+        return Press(truth, plan, rests=rests, down=down, force_n=force_n)
 
     def _held(self, contact: Sequence[Leg], ways: Sequence[F64] = ()) -> list[Leg]:
         """Turn the hand of a motion so that it keeps clear of the rest of the person. ``ways``: as in ``hold``."""
@@ -290,15 +289,13 @@ def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
 
 
 WASH_N = 4.0
-"""Force [N] with which foam is wiped: the middle of the 1 to 8 N of a scrub, and more than a touch has."""
+"""Force [N] with which foam is wiped: near the middle of the 1 to 8 N of a scrub."""
 LANES_M = (-0.010, 0.0, 0.010)
 """Where the strokes over foam lie across it [m]."""
 LANE_PASSES = 3
 """As many as a cell needs to be clean (``scoring.foam.PASSES``)."""
 REACH_M = 0.016
 """How far short of the foam's end a stroke ends: the mitt reaches that far and more."""
-
-
 WIPE_M_S = 0.06
 """Speed of a stroke over foam: at the usual 70 mm/s the force rises on the slope of a flank before the loop lowers
 it."""
@@ -307,11 +304,11 @@ WIPE_DWELL_S = 0.4
 
 def _at_foam(spot: Foamed, action: str) -> list[Leg]:
     """A touch of the foam's middle, or strokes along it, side by side, with the hand as yet unturned."""
-    quat, middle = np.array([0.0, 1.0, 0.0, 0.0]), spot.surface(np.zeros(2))
-    over = Leg.to(middle + fixed.HOVER_M * spot.out(), quat, FREE_SPEED_M_S)
+    middle, clear = spot.surface(np.zeros(2)), fixed.HOVER_M * spot.out()
+    quat = radial_quat(middle)
     if action == "touch":
         down = Leg.to(middle, quat, fixed.DESCENT_SPEED_M_S, hold_s=fixed.TOUCH_DWELL_S)
-        return [over, down, Leg.to(over.points[-1], quat, NEAR_SPEED_M_S)]
+        return [Leg.to(middle + clear, quat, FREE_SPEED_M_S), down, Leg.to(middle + clear, quat, NEAR_SPEED_M_S)]
     half = spot.half_m[0] - REACH_M
     along = np.linspace(-half, half, 2 * int(np.ceil(half / fixed.SCRUB_STEP_M)) + 1)
     legs, way = list[Leg](), 1
@@ -323,9 +320,9 @@ def _at_foam(spot: Foamed, action: str) -> list[Leg]:
             stroke, way = stroke[::-1], -way
     first, last = legs[0].points[-1], legs[-1].points[-1]
     return [
-        Leg.to(first + fixed.HOVER_M * spot.out(), quat, FREE_SPEED_M_S),
+        Leg.to(first + clear, quat, FREE_SPEED_M_S),
         *legs,
-        Leg.to(last + fixed.HOVER_M * spot.out(), quat, NEAR_SPEED_M_S),
+        Leg.to(last + clear, quat, NEAR_SPEED_M_S),
     ]
 
 

@@ -169,7 +169,7 @@ class Protocol(Section):
     foam: Foam | None = Field(default=None, exclude_if=absent)
     """Foam that marks where to touch and what to clean; None: there is none."""
     distractors: Distractors | None = Field(default=None, exclude_if=absent)
-    """Things that could be taken for foam; None: there are none."""
+    """Objects that a policy could mistake for foam; None without any."""
     level: str = ""
     """Which level of its file this is; empty for a file without levels (``protocols.levels``)."""
     levels: dict[str, Level] = Field(default_factory=dict[str, Level])

@@ -213,7 +213,8 @@ def check_baselines(method: RunScores, baselines: Sequence[RunScores], *, allow_
     without a task in common; or, unless these are allowed, one of which planned trials have no verdict."""
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     for baseline in baselines:
-        check_comparable({"the method": method.scores, "the baseline": baseline.scores})
+        titled = f"the baseline ({baseline.scores[0].policy_title})" if baseline.scores else "the baseline"
+        check_comparable({"the method": method.scores, titled: baseline.scores})
         if not allow_incomplete:
             check_complete({f"--baseline: {baseline.scores[0].policy_title}": baseline})
         policy = baseline.scores[0].policy_title

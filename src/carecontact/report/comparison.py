@@ -75,15 +75,14 @@ def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
     workers of runs.
 
     Args:
-        runs: name for messages -> scores.
+        runs: name for messages, such as "run A" -> scores.
     """
     for name, scores in runs.items():
         check_one_run(scores)
-        named = scores and name.startswith("the ")
-        check_ranked(scores, f"{name} ({scores[0].policy_title}): " if named else f"run {name}: ")
+        check_ranked(scores, f"{name}: ")
         if not judged(scores):
             raise ConfigError(
-                f"run {name} has no trial to compare: none is scored, or the harness failed in all of them; "
+                f"{name} has no trial to compare: none is scored, or the harness failed in all of them; "
                 "give its `carecontact run` command again"
             )
     (reference, scores), *others = runs.items()
@@ -320,7 +319,7 @@ def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False, allow_in
     """
     if not allow_incomplete:
         check_complete({"A": a, "B": b}, otherwise=", or compare with allow_incomplete=True")
-    check_comparable({"A": a.scores, "B": b.scores})
+    check_comparable({"run A": a.scores, "run B": b.scores})
     of_a, of_b = trials_by_key(a.scores), trials_by_key(b.scores)
     keys = sorted(of_a.keys() & of_b.keys())
     if not keys:

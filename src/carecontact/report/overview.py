@@ -127,7 +127,7 @@ def overview(runs: Sequence[RunScores]) -> Overview:
     named = dict(zip(ascii_uppercase, runs, strict=False))
     if len(named) < len(runs):
         raise ConfigError(f"{len(runs)} runs at once; at most {len(ascii_uppercase)}")
-    check_comparable({name: run.scores for name, run in named.items()})
+    check_comparable({f"run {name}": run.scores for name, run in named.items()})
     _check_methods(named)
     keyed = {name: trials_by_key(run.scores) for name, run in named.items()}
     common = sorted(set.intersection(*(set(trials) for trials in keyed.values())))

@@ -399,7 +399,7 @@ def tables_of(runs: Sequence[RunScores], protocol: Protocol | None) -> list[Tabl
 
     Raises ConfigError, naming what differs, if the runs must not stand in one table.
     """
-    check_comparable({f"{number} ({run.scores[0].policy if run.scores else 'no policy'})": run.scores
+    check_comparable({f"run {number} ({run.scores[0].policy if run.scores else 'no policy'})": run.scores
                       for number, run in enumerate(runs, start=1)})  # fmt: skip
     paper = read_paper()
     methods = methods_of(runs, paper)

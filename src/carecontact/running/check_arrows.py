@@ -24,7 +24,7 @@ WIDTH_PX = 640
 LENGTHS_M = (0.3, 0.2, 0.1, 0.05)
 """Lengths of the arrows; the longest with which no arrow is longer than LONGEST is taken."""
 LONGEST = 0.35
-"""Of the width of a picture."""
+"""Largest length of an arrow, as a share of the picture's width."""
 NEAREST_M = 0.01
 """Points are drawn that are further before the camera."""
 COLOURS = ((230, 30, 30), (20, 160, 40), (40, 80, 235))

@@ -149,8 +149,8 @@ class Response:
 
     step: float
     columns: F64
-    """(3, 3) share of the movement that an action answers, a column for each axis; one that is no larger than chance is
-    0."""
+    """(3, 3) share of the movement that an action answers, a column for each axis; 0 where it does not exceed
+    chance."""
     limited: npt.NDArray[np.bool_]
     """(3,) numbers that stand at a limit wherever the tool is."""
 

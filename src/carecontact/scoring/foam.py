@@ -206,11 +206,9 @@ class FoamCleaning:
     def of(cls, contact: Contact) -> Self | None:
         """None where the region has no foam, or the protocol no gate for it."""
         gate, share = contact.protocol.gates.foam, cleaned_share(contact)
-        return (
-            None
-            if gate is None or share is None
-            else cls(share=share, least=gate.cleaned_share, lacking={why: contact.known[why] for why in LACKING})
-        )
+        if gate is None or share is None:
+            return None
+        return cls(share=share, least=gate.cleaned_share, lacking={why: contact.known[why] for why in LACKING})
 
     @property
     def met(self) -> bool:
