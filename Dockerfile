@@ -1,16 +1,23 @@
 # The locked environment on Debian 12, ready for `carecontact run`:
 #
+#     make wheels
 #     docker build -t carecontact .
 #     docker run --rm -v "$PWD/runs:/work/runs" carecontact run --policy state-machine --out runs/script
 #
-# The tissue is compiled in the first stage, whose compiler does not reach the image.
+# Make the wheels first (`make wheels`): the image holds the one of its platform, with the versions of uv.lock, and
+# neither the sources nor a compiler.
 FROM python:3.11-slim-bookworm AS build
 
-ENV UV_COMPILE_BYTECODE=1 UV_LINK_MODE=copy UV_PROJECT_ENVIRONMENT=/opt/carecontact
+ENV UV_COMPILE_BYTECODE=1 UV_LINK_MODE=copy
 RUN pip install --no-cache-dir uv==0.13.8
 WORKDIR /src
-COPY . .
-RUN uv sync --frozen --no-dev --no-default-groups --extra tables --extra figures --no-editable
+COPY pyproject.toml uv.lock ./
+RUN uv export --frozen --quiet --no-dev --no-default-groups --no-emit-project --extra tables --extra figures \
+        --output-file locked.txt \
+    && uv venv /opt/carecontact \
+    && uv pip install --python /opt/carecontact --requirement locked.txt
+COPY dist/carecontact-*.whl dist/
+RUN uv pip install --python /opt/carecontact --no-deps dist/carecontact-*-manylinux_2_17_"$(uname -m)".whl
 
 FROM python:3.11-slim-bookworm
 

@@ -11,7 +11,7 @@ help: ## show this list
 env: ## create the Python environment in .venv, and nothing else
 	@sh tools/bootstrap.sh
 
-demo: env ## run the seven tasks once and write an HTML report into runs/demo
+demo: env ## run three tasks of the exam once and write an HTML report into runs/demo
 	@$(BIN)/carecontact run --demo
 
 test: env lint ## check style, types, import rules and run the fast tests

@@ -26,6 +26,7 @@ from carecontact.protocol.overrides import overridden
 from carecontact.recording.notes import JOINTS
 from carecontact.runs.scoring import read_scores
 from carecontact.sim.opengl import PACKAGES
+from carecontact.tissue.binary import PLATFORMS
 from tests.report.browser import Browser, found
 from tests.serving.fakes import Openpi, OpenpiPositions
 
@@ -451,9 +452,17 @@ def test_it_installs_what_rendering_needs() -> None:
 
 
 def test_the_build_context_has_what_the_build_reads() -> None:
-    kept = [line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
-    assert all((ROOT / path).exists() for path in kept)
-    assert {"src", "hatch_build.py", "tools/compile_kernel.py", "uv.lock", "pyproject.toml"} <= set(kept)
+    kept = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    copied = [word for line in re.findall(r"^COPY (?!--from)(.+) \S+$", TEXT, re.MULTILINE) for word in line.split()]
+    assert kept == set(copied)
+    assert all((ROOT / path).exists() for path in kept if not path.startswith("dist/"))
+
+
+def test_the_image_gets_a_wheel_by_the_name_that_the_build_gives_it() -> None:
+    named = re.search(r'dist/carecontact-\*-(\S+?)"\$\(uname -m\)"\.whl', TEXT)
+    assert named
+    tags = [platform.tag for name, platform in PLATFORMS.items() if name.startswith("linux")]
+    assert {tag.removeprefix(named[1]) for tag in tags} == {"x86_64", "aarch64"}
 
 
 def test_hadolint_finds_nothing() -> None:

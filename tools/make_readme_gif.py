@@ -26,7 +26,7 @@ from carecontact.scoring.contact import find_contact
 
 STIFFNESS = (1000.0, 20.0)
 DEEPER_M = 0.010
-SIZE, FPS, LAMPS, COLOURS = (560, 350), 12.5, 6, 96
+SIZE, FPS, COLOURS = (560, 350), 12.5, 96
 LEAD_S, LENGTH_S = 0.6, 5.0
 DISTANCE_M, SHADOWS_M = 0.34, 0.25
 
@@ -61,7 +61,7 @@ def main() -> None:
     header = recording.header
     print(f"protocol {header.spec.protocol.sha256[:12]}, tissue kernel {header.sha256['kernel'][:12]}")
     print(f"touched at {touched_s:.2f} s; at most {contact.force_in_window.max():.1f} N and {depth_mm:.1f} mm")
-    film = Film(recording, fps=FPS, lamps=LAMPS, panel=False, size=SIZE)
+    film = Film(recording, fps=FPS, panel=False, size=SIZE)
     near = replace(film.view(0.0), distance_m=DISTANCE_M, radius_m=SHADOWS_M)
     film.view = Camera(view=near)
     begin_s = touched_s - LEAD_S

@@ -56,7 +56,7 @@ def carecontact(*arguments: str, cwd: Path, **variables: str) -> subprocess.Comp
         (["sweep"], "Missing from carecontact sweep: PLAN.toml; For full helptext"),
         (
             ["run", "--demo", "--seeds", "1"],
-            "--seeds does not go with --demo, which takes only --out, --jobs, --verbose",
+            "--seeds does not go with --demo, which takes only --out, --jobs, --verbose, --video",
         ),
         (["score", "r"], "`carecontact score` is now `carecontact report --rescore`"),
         (

@@ -13,6 +13,7 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.errors import ConfigError
+from carecontact.protocol.protocol import TRAINING_SHA256
 from carecontact.recording import Failure, read_recording, write_recording
 from carecontact.runs import RunScores, score_run, write_scores
 from carecontact.runs.results_file import pack_results
@@ -398,3 +399,18 @@ def test_the_tasks_of_baselines_are_safety_gated_like_their_difference(capsys: p
     assert " 100.0 " in row, "random reaches successes"
     assert row.split()[-2:] == ["0/6"] * 2, "none of which is safe and on the region"
     assert "T1, T2, ...: safety-gated / trials" in printed
+
+
+@pytest.mark.parametrize("origin", ["training", "isolated"])
+def test_demonstrations_are_reported_and_not_compared_whatever_origin_they_claim(
+    runs: Path, capsys: pytest.CaptureFixture[str], origin: str
+) -> None:
+    for path in (runs / "b").glob("*.h5"):
+        recording = read_recording(path)
+        spec = recording.header.spec.model_copy(update={"salt_sha256": TRAINING_SHA256})
+        header = recording.header.model_copy(update={"origin": origin, "spec": spec})
+        write_recording(replace(recording, header=header), path)
+    assert main(["report", "--rescore", str(runs / "b")]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(runs / "a"), str(runs / "b")]) == 2
+    assert "T1-s000.h5 is a demonstration, of a person on whom policies are trained" in capsys.readouterr().err

@@ -274,10 +274,10 @@ def test_demo_without_contact_fails_and_replaces_only_its_own_files(
     assert (folder / "T1-s000.h5").read_bytes() != b"old"
     assert (folder / "manifest.json").read_bytes() == first
     assert (folder / "notes.txt").read_text() == "mine"
-    assert len(list(folder.glob("*.h5"))) == 7
+    assert len(list(folder.glob("*.h5"))) == 3
 
     scores = score_run(folder).scores
-    won = [s.model_copy(update={"c3_success": s.task_id in ("T1", "T2", "T7")}) for s in scores]
+    won = [s.model_copy(update={"c3_success": s.task_id in ("T1", "T2", "T3")}) for s in scores]
     assert missing_successes(won) == []
     assert missing_successes([s for s in won if s.task_id != "T2"]) == ["no push task succeeded"]
 
@@ -291,7 +291,8 @@ def test_demo_leaves_what_is_no_demo_alone(
         Path("r/T1-s000.h5").write_bytes(b"mine")
     elif made_by == "demo and a trial more":
         main(["run", "--demo", "--out", "r"])
-        main(["run", "--policy", "state-machine", "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
+        exam = ["--protocol", "bathing-wide-v2-draft", "--level", "L2"]
+        main(["run", "--policy", "state-machine", *exam, "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
     else:
         policy = "state-machine" if made_by == "run of the same trials" else "hover"
         tasks = "all" if policy == "state-machine" else "T1"

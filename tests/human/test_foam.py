@@ -45,9 +45,21 @@ def laid(scene: Scene, region: str, spot: Spot) -> FoamPatch:
     return lay_foam(scene.model, scene.body, scene.regions[region], scene.frames[region], spot)
 
 
-def spot(half_m: tuple[float, float], *, along: float = 0.5, around_deg: float = 0.0, on_cells: bool = False) -> Spot:
+def spot(
+    half_m: tuple[float, float],
+    *,
+    along: float = 0.5,
+    around_deg: float = 0.0,
+    on_cells: bool = False,
+    room_m: float = 0.0,
+) -> Spot:
     return Spot(
-        along=along, around_rad=np.radians(around_deg), half_m=half_m, colour=FOAM_COLOURS["lime"], on_cells=on_cells
+        along=along,
+        around_rad=np.radians(around_deg),
+        half_m=half_m,
+        room_m=room_m,
+        colour=FOAM_COLOURS["lime"],
+        on_cells=on_cells,
     )
 
 
@@ -123,6 +135,17 @@ def test_a_touchs_foam_lies_on_soft_skin() -> None:
     across = ((shell.vertices - frame.origin) @ frame.axes)[:, 1]
     assert 0.06 < patch.middle[1] < across.max() - 0.015
     assert np.degrees(np.arctan2(patch.middle[1], patch.middle[2])) < 45.0
+
+
+def test_foam_leaves_room_beside_it_for_the_tool() -> None:
+    scene = scene_of("man-adult", "forearm")
+    length = float(scene.frames["forearm"].size_m[0])
+    near = laid(scene, "forearm", spot((0.025, 0.025), along=0.85, room_m=0.015))
+    assert length / 2 - 0.04 - 0.05 * 0.35 * length <= near.middle[0] <= length / 2 - 0.04
+    short = laid(scene, "forearm", spot((0.025, 0.025), along=0.85, room_m=0.14))
+    assert short.middle[0] == pytest.approx(0.0, abs=1e-9), (
+        "a region that is too short for it has its foam in the middle"
+    )
 
 
 def test_a_scrubs_foam_lies_where_wiping_is_measured() -> None:

@@ -306,3 +306,31 @@ def test_a_malformed_address_of_a_dialect_says_what_is_valid(text: str, says: st
 def test_a_malformed_class_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="expected module:Class"):
         PolicyRef.parse(text)
+
+
+@pytest.mark.parametrize("text", ["hover", "my:Own", "ws://192.0.2.7:8765", "openpi://192.0.2.7:80?profile=pi05-droid"])
+def test_a_variant_is_part_of_what_results_name_and_no_part_of_where_the_policy_is(text: str) -> None:
+    plain, varied = PolicyRef.parse(text), PolicyRef.parse(f"{text}+shuffled-look")
+    assert (varied.text, varied.name, varied.variant) == (f"{plain.text}+shuffled-look", plain.text, "shuffled-look")
+    assert (varied.kind, varied.host, varied.port, varied.options) == (
+        plain.kind,
+        plain.host,
+        plain.port,
+        plain.options,
+    )
+    assert varied == plain.with_variant("shuffled-look")
+    assert PolicyRef.parse(varied.text) == varied
+
+
+@pytest.mark.parametrize("variant", ["noise-0mm", "noise-100mm", "noise-8", "blind"])
+def test_what_is_no_variant_stays_part_of_the_name(variant: str) -> None:
+    assert PolicyRef.parse(f"hover+{variant}").variant == ""
+
+
+def test_a_card_names_on_whom_the_policy_was_trained() -> None:
+    card = PolicyCard(name="p", trained_on=("ab" * 32, "bathing-wide-v2-draft:0-26,30"))
+    assert card.plain()["trained_on"] == ["ab" * 32, "bathing-wide-v2-draft:0-26,30"]
+    assert "trained_on" not in PolicyCard(name="p").plain()
+    for wrong in ("0-26", ("0-26",), ("exam:",), ("exam:0 to 3",), (3,), ("AB" * 32,)):
+        with pytest.raises(ContractError, match=r"PolicyCard.trained_on: expected .*PROTOCOL:SEEDS"):
+            PolicyCard(name="p", trained_on=wrong)  # type: ignore[arg-type]

@@ -16,9 +16,12 @@ from carecontact.interface.policy import PolicyRef
 from carecontact.oracle import truth
 from carecontact.oracle.policy import (
     AGAIN,
+    LIFT_M_S,
     MOST_WRIST_M,
+    OFF_M,
     PATIENCE_S,
     PUSHES,
+    RETURN_M_S,
     STEADY_S,
     Oracle,
     Press,
@@ -233,9 +236,14 @@ class Skin:
     def __init__(self, forces_n: list[float], *, sideways_n: float = 0.0) -> None:
         self.forces_n, self._sideways_n = forces_n, sideways_n
         self.simulation = SimpleNamespace(protocol=load_protocol())
+        self.pose = np.eye(4)
+        self.met: np.ndarray | None = None
 
     def frame(self) -> np.ndarray:
-        return np.eye(4)
+        return self.pose.copy()
+
+    def contact(self) -> np.ndarray | None:
+        return self.met
 
     def force_n(self) -> float:
         return self.forces_n.pop(0) if len(self.forces_n) > 1 else self.forces_n[0]
@@ -279,6 +287,36 @@ def test_the_target_leads_by_what_friction_takes() -> None:
     places = [press.act().pose_tcp_in_base for _ in range(40)]
     assert places[-1][0] - DOWN[0] == pytest.approx(0.005, abs=1e-4)
     assert places[-1][1] == DOWN[1]
+
+
+def test_the_tool_lifts_off_while_the_person_moves_and_comes_back_gently() -> None:
+    skin = Skin([3.0])
+    press: Any = Press(skin, [Stage(pose=DOWN, presses=True)] * 60, rests=False)  # pyright: ignore[reportArgumentType]
+    for _ in range(10):
+        press.act()
+    heights: list[float] = []
+    for k in range(30):
+        moves = k < 10
+        skin.pose[0, 3] += 0.1 / CONTROL_HZ if moves else 0.0
+        skin.forces_n[:] = [0.0 if moves or heights[-1] > DOWN[2] else 3.0]
+        heights.append(float(press.act().pose_tcp_in_base[2]))
+    assert heights[2] == pytest.approx(DOWN[2] + OFF_M)
+    assert max(np.diff(heights)) <= LIFT_M_S / CONTROL_HZ + 1e-9
+    assert min(np.diff(heights)) >= -RETURN_M_S / CONTROL_HZ - 1e-9
+    assert heights[-1] == pytest.approx(DOWN[2], abs=1e-3)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_contact_is_brought_to_its_place_only_along_the_axes_that_were_named(axis: int) -> None:
+    skin, meets = Skin([3.0]), np.eye(3)[[1]]
+    plan = [Stage(pose=DOWN, presses=True)] * 60
+    press: Any = Press(skin, plan, rests=False, meets=meets)  # pyright: ignore[reportArgumentType]
+    target = DOWN
+    for _ in range(60):
+        skin.met = target[:3] - 0.008 * np.eye(3)[axis]
+        target = press.act().pose_tcp_in_base
+    expected = DOWN[:3] + (0.008 * np.eye(3)[axis] if axis == 1 else 0.0)
+    np.testing.assert_allclose(target[:3], expected, atol=1e-3)
 
 
 QUAT = np.array([0.0, 1.0, 0.0, 0.0])

@@ -167,11 +167,11 @@ def test_press_deeper_lowers_the_state_machines_targets_and_nothing_else(monkeyp
     assert policy.card.name == "press-deeper"
 
 
-def test_look_and_press_looks_twice_and_presses_with_three_newtons_between() -> None:
+def test_the_example_look_and_press_looks_twice_and_presses_with_three_newtons_between() -> None:
     """In its own process, over the wire."""
     source = (EXAMPLES / "look_and_press.py").read_text()
     assert len(source.splitlines()) < 80
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="look_and_press:LookAndPress")
+    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="look_and_press:Press")
     recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(EXAMPLES)]))
     assert recording.header.ended == "done", recording.header.failure
     assert score_recording(recording).safety_gated
@@ -182,3 +182,13 @@ def test_look_and_press_looks_twice_and_presses_with_three_newtons_between() -> 
     touching = np.flatnonzero(force > 0.5)
     assert np.median(force[touching]) == pytest.approx(3.0, abs=0.3)
     assert recording["policy/observation_time_s"][looked[1]] > recording["scorer/time_s"][touching[-1]]
+
+
+def test_a_control_is_a_probe_and_a_demonstrator_stays_what_it_is() -> None:
+    for name in ("shuffled-look", "frozen-look", "no-touch"):
+        assert role_of(f"state-machine+{name}") == role_of(f"my:Own+{name}") == "probe"
+    assert (role_of("state-machine+dagger"), role_of("mean-person+noise-8mm")) == ("method", "blind")
+    assert role_of("oracle+noise-8mm") == "privileged"
+    assert is_privileged(PolicyRef.parse("oracle+noise-8mm"))
+    assert policy_target(PolicyRef.parse("hover+frozen-look")) == policy_target(PolicyRef.parse("hover"))
+    assert policy_target(PolicyRef.parse("my.own:Policy+no-touch")) == "my.own:Policy"

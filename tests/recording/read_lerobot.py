@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from lerobot.datasets.dataset_tools import delete_episodes, split_dataset
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, split_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 
@@ -21,7 +21,8 @@ def main(folder: str, out: str) -> None:
     parts = Path(folder).with_name("parts")
     one = delete_episodes(dataset, episode_indices=[0], output_dir=parts / "rest", repo_id="local/rest")
     halves = split_dataset(dataset, splits={"first": [0], "second": [1]}, output_dir=parts)
-    for name, part in (("deleted", one), *halves.items()):
+    whole = merge_datasets(list(halves.values()), output_repo_id="local/merged", output_dir=parts / "merged")
+    for name, part in (("deleted", one), ("merged", whole), *halves.items()):
         # Opened again: the tools keep statistics in memory that they may not have written.
         stats = LeRobotDataset(f"local/{name}", root=part.root).meta.stats or {}
         arrays |= {f"{name}/{key}/{each}": value for key, found in stats.items() for each, value in found.items()}

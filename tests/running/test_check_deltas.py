@@ -219,7 +219,7 @@ FAULTS: dict[str, tuple[Callable[[], Fake], str, int, str, str]] = {
     ),
     "pictures mirrored of Bridge": (
         lambda: Looking(driver=Bridge(), knows="turned"), BRIDGE, 0, "warning  orientation",
-        "orientation=mirrored to the address",
+        "add orientation=mirrored or orientation=turned to the address",
     ),
     "rotation in the order z y x": (
         spoilt(lambda rows: rows[:, [0, 1, 2, 5, 4, 3, 6]]), LIBERO, 0, "warning  axes",
@@ -354,7 +354,7 @@ def test_nothing_is_learned_of_the_axes_of_a_server_that_always_moves_on(checked
     assert status == 0
     seen = [line for line in out.splitlines() if line.split()[1] in ("axes", "orientation", "deltas")]
     assert [line.split()[0] for line in seen] == ["hint"] * 3, out
-    assert "the translation is the same wherever the tool is moved in the observation: nothing can be learned" in out
+    assert "the translation hardly changes wherever the tool is moved in the observation: nothing can be learned" in out
 
 
 # The parts by themselves.

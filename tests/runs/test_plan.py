@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carecontact.errors import ConfigError
+from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.load import load_protocol
-from carecontact.protocol.protocol import Protocol
+from carecontact.protocol.protocol import TRAINING_SALT, TRAINING_SHA256, Protocol, commitment
 from carecontact.recording import Failure, write_recording
 from carecontact.recording.schema import KILLED, POLICY_KILLED
 from carecontact.registry import Registry
@@ -23,6 +24,7 @@ from carecontact.runs.identity import Identity
 from carecontact.runs.manifest import Survey, survey, write_manifest
 from carecontact.runs.plan import (
     Shard,
+    check_not_trained_on,
     check_protocol,
     check_rows,
     compact,
@@ -312,3 +314,29 @@ def test_beside_an_incomplete_run_there_are_counts_and_no_differences() -> None:
     assert found.baselines[0].above is None
     with pytest.raises(ConfigError, match=r"--baseline: hover is incomplete, 6 of 7 planned trials have a verdict"):
         beside_baselines(method, [replace(hover, missing=("T1-s006",))])
+
+
+@pytest.mark.parametrize(
+    ("trained_on", "salt", "refused"),
+    [
+        ("bathing-wide-v2-draft:0-2", "", False),
+        ("bathing-wide-v2-draft:0-3", "", True),
+        ("bathing-wide-v2-draft:9,3", "", True),
+        ("bathing-v3-draft:3", "", False),
+        ("bathing-wide-v2-draft:3", "ab" * 32, False),
+        (commitment("ab" * 32), "ab" * 32, True),
+        (commitment("ab" * 32), "", False),
+        (TRAINING_SHA256, "", False),
+        (TRAINING_SHA256, TRAINING_SALT, False),
+    ],
+)
+def test_no_policy_is_tested_on_persons_of_its_training(trained_on: str, salt: str, refused: bool) -> None:
+    protocol = load_protocol("bathing-wide-v2-draft", level="L1")
+    specs = plan_trials(protocol=protocol, policy="p:P", tasks=["T1"], seeds=[3, 4])
+    specs = [spec.model_copy(update={"salt": salt}) for spec in specs]
+    card = PolicyCard(name="p", trained_on=(trained_on,))
+    if not refused:
+        check_not_trained_on(card.trained_on, specs)
+        return
+    with pytest.raises(ConfigError, match=r"p:P was trained on .*T1-s003 is a trial of such a person"):
+        check_not_trained_on(card.trained_on, specs)

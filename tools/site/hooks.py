@@ -17,6 +17,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 sys.path.insert(0, str(Path(__file__).parent))
+from board import board_tables, entries, entry_page
 from references import commands_help, python_page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,6 +45,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     generated = {
         "index.md": _home(),
         "reference/python.md": python_page(),
+        **{f"board/{stem}.md": entry_page(stem, entry) for stem, entry in entries().items()},
     }
     for path, text in generated.items():
         files.append(File.generated(config, path, content=text))
@@ -56,13 +58,17 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
-    """Let links to files outside docs/ lead to their copies, weigh the page in the search, and add commands' help."""
+    """Let links to files outside docs/ lead to their copies, weigh the page in the search, and add what is
+    generated: commands' help, and the tables of the board."""
     folder = posixpath.dirname(page.file.src_uri)
     boost = BOOST.get(page.file.src_uri, EVIDENCE if folder == "evidence" else 1.0)
     if boost != 1.0:
         page.meta["search"] = {"boost": boost}
     if page.file.src_uri == "commands.md":
         markdown += "\n" + commands_help()
+    if page.file.src_uri == "board.md":
+        before, heading, after = markdown.partition("## Submit")
+        markdown = f"{before}{board_tables(entries())}\n{heading}{after}"
 
     def changed(link: re.Match[str]) -> str:
         target = _leaves(folder, link[2])

@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from carecontact.cli.groups import Switch, check_folder, need_recordings, read_run
+from carecontact.cli.parsing import given_options
 from carecontact.errors import ConfigError, RecordingError
+from carecontact.interface.policy import CAMERAS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from carecontact.protocol.protocol import Protocol
+    from carecontact.recording.lerobot import Episode
+    from carecontact.recording.schema import Header
+    from carecontact.replay.dataset import Rendering
     from carecontact.runs.pooling import RunScores
 
 
@@ -29,8 +34,21 @@ class Lerobot:
     """Folder for the dataset; it must not exist yet."""
     form: Literal["v3.0", "v2.1"] = "v3.0"
     """Version of the format; openpi reads v2.1."""
-    only: Literal["all", "success", "region-correct", "safety-gated"] = "all"
-    """Trials to export, by the scores in results.json."""
+    only: Literal["all", "success", "region-correct", "safety-gated"] | None = None
+    """Trials to export, by the scores in results.json; default: of demonstrations the safety-gated ones (of those with
+    labels, all), of any other run all."""
+    render: str = ""
+    """Make the rows and their pictures again, by stepping the recordings again: cameras with the side of their square
+    pictures [px], such as overhead:128,wrist:128. Without it, rows are the actions, with the pictures that were
+    sent."""
+    hz: float = 10.0
+    """With --render: rows in a second."""
+    video: Literal["h264"] | None = None
+    """With --render: films in place of PNG, which take 2 % of the space and lose little."""
+    points: int = 0
+    """With --render: add as many coloured points inside the workspace, from the first camera's depth."""
+    jobs: int | None = None
+    """With --render: trials at once; default: one per core."""
     with_force: Switch = False
     """Add the force on each body segment, which no policy receives. A policy that is trained on it cannot run in this
     benchmark."""
@@ -39,41 +57,91 @@ class Lerobot:
 
     def __call__(self) -> int:
         """Return 1 if a trial could not be exported."""
-        from carecontact.recording import read_recording
-        from carecontact.recording.lerobot import Dataset, episode_of
+        from carecontact.recording import read_header
+        from carecontact.recording.lerobot import about_dataset
+        from carecontact.recording.lerobot_file import Dataset
 
         if self.out.exists():
             raise ConfigError(f"--out {self.out}: exists already; name a new folder")
-        left_out = 0
-        dataset = None
-        for trial_id in self._trials():
-            try:
-                recording = read_recording(self.run / f"{trial_id}.h5")
-                episode = episode_of(recording, force=self.with_force)
-            except RecordingError as error:
+        need_recordings(self.run)
+        first = read_header(min(self.run.glob("*.h5")))
+        chosen, left_out, written = self._trials(first), 0, 0
+        about = about_dataset(first, rendered=bool(self.render), trials=self.only or "default")
+        dataset = Dataset(folder=self.out, robot=first.embodiment, version=self.form, about=about)
+        for trial_id, found in self._episodes(chosen):
+            if isinstance(found, str):
                 left_out += 1
-                print(f"left out: {error}")
+                print(f"left out: {found}")
                 continue
-            dataset = dataset or Dataset(folder=self.out, robot=recording.header.embodiment, version=self.form)
-            dataset.add(episode, name=trial_id)
-            print(f"{trial_id}: {len(episode)} rows at {episode.fps} fps", flush=True)
-        if dataset is None:
+            dataset.add(found, name=trial_id)
+            written += 1
+            print(f"{trial_id}: {len(found)} rows at {found.fps} fps", flush=True)
+        if not written:
             raise ConfigError(f"{self.run}: no trial could be exported, so there is no dataset")
         dataset.close()
         print(f"dataset: {self.out}")
         return 1 if left_out else 0
 
-    def _trials(self) -> list[str]:
-        """Return the recordings to export. Raises ConfigError if there are none."""
+    def _episodes(self, trials: Sequence[str]) -> Iterator[tuple[str, Episode | str]]:
+        """Yield the trials with their episode, or why there is none, in their order."""
+        from carecontact.recording import read_recording
+        from carecontact.recording.lerobot import episode_of
+
+        rendering = self._rendering()
+        if rendering is not None:
+            from carecontact.replay.dataset import rendered
+
+            scores = {score.trial_id: score for score in read_run(self.run).scores}
+            passed = [trial for trial in trials if trial in scores and scores[trial].safety_gated]
+            yield from rendered(self.run, trials, rendering, passed=passed, jobs=self.jobs)
+            return
+        for trial_id in trials:
+            try:
+                yield trial_id, episode_of(read_recording(self.run / f"{trial_id}.h5"), force=self.with_force)
+            except RecordingError as error:
+                yield trial_id, str(error)
+
+    def _rendering(self) -> Rendering | None:
+        """Raises ConfigError for options of --render that cannot be."""
+        from carecontact.replay.dataset import Rendering
+        from carecontact.running.supervisor import check_jobs
+
+        check_jobs(self.jobs)
+        if not self.render:
+            needless = [o for o in given_options(self) if o in ("--hz", "--video", "--points", "--jobs")]
+            if needless:
+                raise ConfigError(f"{needless[0]} belongs to --render, such as --render overhead:128,wrist:128")
+            return None
+        if self.with_force:
+            raise ConfigError("--with-force does not go with --render, whose rows hold only what a policy may know")
+        sizes: dict[str, int] = {}
+        for part in self.render.split(","):
+            camera, _, side = part.partition(":")
+            if camera not in CAMERAS or not side.isdecimal() or not 16 <= int(side) <= 480 or int(side) % 2:
+                raise ConfigError(
+                    f"--render {part}: expected CAMERA:PX with a camera of {', '.join(CAMERAS)} and an even number of "
+                    "pixels from 16 to 480, such as overhead:128"
+                )
+            sizes[camera] = int(side)
+        if not 1 <= self.hz <= 50:
+            raise ConfigError(f"--hz {self.hz:g}: expected 1 to 50")
+        if not 0 <= self.points <= 65536:
+            raise ConfigError(f"--points {self.points}: expected 0 to 65536")
+        return Rendering(sizes=sizes, hz=self.hz, film=self.video is not None, points=self.points)
+
+    def _trials(self, first: Header) -> list[str]:
+        """Return the recordings to export. ``first``: header of any of them. Raises ConfigError if there are none."""
         from carecontact.runs.scoring import read_scores
 
-        need_recordings(self.run)
-        if self.only == "all":
+        only = self.only
+        if only is None:
+            only = "safety-gated" if first.spec.trains and not first.spec.policy.endswith("+dagger") else "all"
+        if only == "all":
             return sorted(path.stem for path in self.run.glob("*.h5"))
-        field = {"success": "c3_success", "region-correct": "region_correct", "safety-gated": "safety_gated"}[self.only]
+        field = {"success": "c3_success", "region-correct": "region_correct", "safety-gated": "safety_gated"}[only]
         found = sorted(score.trial_id for score in read_scores(self.run).scores if getattr(score, field))
         if not found:
-            raise ConfigError(f"{self.run}: no trial is {self.only}; without --only, all trials are exported")
+            raise ConfigError(f"{self.run}: no trial is {only}; with --only all, all trials are exported")
         return found
 
 

@@ -38,6 +38,7 @@ SECTIONS = {
     "Run a policy": {
         "check": ("check:Check", "try a policy on one observation before a run"),
         "run": ("run:Run", "run trials of a policy, score them and write the report; --demo runs an example"),
+        "demonstrate": ("demonstrate:Demonstrate", "run demonstrations on persons to train on, for `export lerobot`"),
         "serve": ("serve:Serve", "serve a policy to runs on another host"),
         "sweep": ("sweep:Sweep", "run several policies under many conditions, and write one table of all"),
         "merge": ("sweep:Merge", "make one run of parts that ran on several machines"),
@@ -46,6 +47,7 @@ SECTIONS = {
         "report": ("report:Report", "show the scores of a run, and write its report; --rescore computes them again"),
         "compare": ("compare:Compare", "compare runs trial by trial, and set blind baselines beside them"),
         "view": ("view:View", "look at a recorded trial: in a viewer, as a --video, at its --start, or its --notes"),
+        "submit": ("submit:Submit", "check a run of the whole exam, and write its entry of the board"),
         "export lerobot": ("export:Lerobot", "write what a policy saw and did as a dataset for training"),
         "export paper": ("export:Paper", "write the paper's tables and figures from your runs"),
     },

@@ -16,7 +16,7 @@ from pathlib import Path
 from carecontact.cli.console import excerpt
 from carecontact.cli.groups import PolicyGroup, VisionGroup
 from carecontact.errors import ConfigError, ContractError, PolicyError, UnknownNameError
-from carecontact.interface.policy import API_KEY, PolicyCard, PolicyRef, check_arguments, check_variables
+from carecontact.interface.policy import API_KEY, LOOK_CONTROLS, PolicyCard, PolicyRef, check_arguments, check_variables
 from carecontact.policies.language.live import language_name
 from carecontact.policies.registry import POLICIES, is_privileged
 from carecontact.protocol.overrides import overridden
@@ -38,7 +38,7 @@ def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, s
     Raises UnknownNameError; ConfigError for a policy that takes no such language, a file that is not a replay file, or
     a record without a live model; DependencyError for ``live:`` without its package.
     """
-    kinds = POLICIES[ref.text].languages if ref.kind == "registered" else ()
+    kinds = POLICIES[ref.name].languages if ref.kind == "registered" else ()
     language, record = options.language, options.record
     if kinds:
         language = _one("language", language, arguments.pop("language", None))
@@ -165,8 +165,8 @@ CLOSED = ("CARECONTACT_", "PYTHON")
 isolation of the process."""
 
 
-def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
-    """Return the setup of a policy that is looked for in the current folder first.
+def policy_setup(policy: str, options: PolicyGroup, variant: str = "") -> PolicySetup:
+    """Return the setup of a policy, in a variant, that is looked for in the current folder first.
 
     Raises ConfigError for a malformed reference, argument or variable, for a language that the policy does not take,
     and for options that a remote policy cannot be given; UnknownNameError; DependencyError as ``chosen_language``.
@@ -175,8 +175,12 @@ def policy_setup(policy: str, options: PolicyGroup) -> PolicySetup:
         ref = PolicyRef.parse(policy)
     except ConfigError as error:
         raise ConfigError(f"{error}{suggestion(policy, Path.cwd())}") from None
+    if variant in LOOK_CONTROLS and is_privileged(ref):
+        raise ConfigError(f"--control {variant}: {ref} is given the simulation, and no picture or reading of the arm")
+    if ref.variant:
+        raise ConfigError(f"policy {policy}: name {ref.name}, and ask for {ref.variant} by the option of that name")
     try:
-        return _setup(ref, options)
+        return _setup(ref.with_variant(variant) if variant else ref, options)
     except UnknownNameError as error:
         if nearest := suggestion(policy, Path.cwd()):
             raise ConfigError(f"{error}{nearest}") from None
@@ -234,7 +238,7 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
             )
         return None
     conversation = open_policy(setup, first_deadline_s=deadline_s, deadline_s=deadline_s)
-    shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.text) is None
+    shipped = setup.ref.kind == "registered" and POLICIES.package(setup.ref.name) is None
     if shipped and not (setup.arguments or setup.environment or setup.language):
         return None
     conversation.on_wait, conversation.patient = lambda line: print(line, flush=True), True

@@ -8,6 +8,7 @@ from pathlib import Path
 from carecontact.cli.groups import need_recordings
 from carecontact.cli.scores import differences, print_left_out, print_scores, read_content
 from carecontact.errors import CarecontactError, ConfigError, DependencyError, RecordingError, counted
+from carecontact.interface.policy import LOOK_CONTROLS
 from carecontact.interface.regions import REGIONS
 from carecontact.protocol.gates import ACTIONS
 from carecontact.recording import open_recording, read_header, read_recording
@@ -139,6 +140,7 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
         remember(folder, baselines)
     else:
         named, lost, lines = _remembered(folder, run)
+    named += controls_of(folder, run, named)
     beside, why_none = beside_shipped_scores(run, named)
     scored = {score.trial_id: score.recording_sha256 for score in run.scores}
     path = write_report(
@@ -153,6 +155,18 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
         kept_scores=why_none,
     )
     return [*lines, f"report: {path}"], beside
+
+
+def controls_of(folder: Path, run: RunScores, named: Sequence[RunScores] = ()) -> list[RunScores]:
+    """Return the runs of the same policy under the controls of ``run --control``, which lie inside its folder; without
+    those that are ``named`` already, and those that cannot stand beside it."""
+    if not run.scores:
+        return []
+    places = {name: folder / name for name in LOOK_CONTROLS if (folder / name / RESULTS_NAME).is_file()}
+    found, _ = _comparable(places, run)
+    known = {one.scores[0].policy_title for one in named}
+    controls = [one for name, one in found.items() if one.scores[0].policy == f"{run.scores[0].policy}+{name}"]
+    return [one for one in controls if one.scores[0].policy_title not in known]
 
 
 def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str], list[str]]:

@@ -19,6 +19,7 @@ from carecontact.cli.answers import (
     ProtocolVerifyAnswer,
     ValidateAnswer,
 )
+from carecontact.cli.board import BoardEntry
 from carecontact.recording.schema import EndReason
 from carecontact.report.baselines import Baselines
 from carecontact.report.comparison import Comparison
@@ -211,6 +212,7 @@ ANSWERS: tuple[type[Answer], ...] = (
     CompareAnswer,
     SweepAnswer,
     SweepCellAnswer,
+    BoardEntry,
     ProtocolListAnswer,
     ProtocolShowAnswer,
     ProtocolVerifyAnswer,

@@ -1,4 +1,4 @@
-"""``carecontact run``: plan, run what is missing, score, report; with ``--demo`` once for the seven tasks."""
+"""``carecontact run``: plan, run what is missing, score, report; with ``--demo`` three tasks of the exam, once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from carecontact.cli.console import print_answer, same_command, without_secret
 from carecontact.cli.groups import (
@@ -25,6 +25,7 @@ from carecontact.cli.groups import (
     VerboseGroup,
     VisionGroup,
     check_folder,
+    read_run,
 )
 from carecontact.cli.parsing import UsageError, given_options
 from carecontact.errors import ConfigError, RecordingError, counted
@@ -42,7 +43,12 @@ if TYPE_CHECKING:
     from carecontact.serving.conversation import PolicySetup
 
 DEMO_POLICY, DEMO_SEED, DEMO_OUT = "state-machine", 0, Path("runs/demo")
-DEMO_OPTIONS = ("--demo", "--out", "--jobs", "--verbose")
+DEMO_PROTOCOL, DEMO_LEVEL, DEMO_TASKS = "bathing-wide-v2-draft", "L2", ("T1", "T2", "T3")
+"""The exam, with one task of each action."""
+DEMO_NOISE = 32 * "0"
+"""The demo's sensor noise is the same each time."""
+DEMO_OPTIONS = ("--demo", "--out", "--jobs", "--verbose", "--video")
+RESULTS = "results.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +61,9 @@ class Run:
     ws://HOST:PORT, the address of a policy's server (see docs/your-policy.md; docs/vla.md for other projects'
     servers)."""
     demo: Switch = False
-    """Without --policy: run the seven tasks once with state-machine into runs/demo, in place of an earlier demo, and
-    fail unless the robot really touched, pushed and scrubbed. Only --out, --jobs and --verbose go with it."""
+    """Without --policy: run three tasks of the exam once with state-machine into runs/demo, in place of an earlier
+    demo, show the result between floor and ceiling, and fail unless the robot really touched, pushed and scrubbed.
+    Only --out, --jobs, --verbose and --video go with it."""
     given: PolicyGroup = field(default_factory=PolicyGroup)
     out: Path | None = None
     """Folder for recordings, results.json and report.html; default: runs/POLICY-TIME."""
@@ -81,6 +88,10 @@ class Run:
     unfrozen: Switch = False
     """Run a frozen protocol even if it differs from its lock (see `carecontact protocol verify`). Every output then
     names the difference."""
+    control: Literal["shuffled-look", "frozen-look", "no-touch"] | None = None
+    """Run the policy with altered observations, as POLICY+CONTROL, to show what its rate is owed to: `shuffled-look`
+    (pictures of another person), `frozen-look` (the first picture all the time) or `no-touch` (the arm always reads as
+    being at its target). The run goes into the folder of that name inside --out, whose report shows it beside."""
     parallel: EngineGroup = field(default_factory=EngineGroup)
     shard: str | None = None
     """Run one part of the trials: 2/4 is the second of four parts. Give each part a folder of its own; `carecontact
@@ -97,13 +108,16 @@ class Run:
     allow_failures: Switch = False
     """Exit with status 0 even if the policy crashed in a trial. Without this option, the status is then 3. If the
     harness failed, the status is 1 in either case."""
+    video: Switch = False
+    """Link in the report a draft video of the first failure of each cause, of three causes at most. Needs the extra viz
+    and about 20 s of processor time for each."""
     output: VerboseGroup = field(default_factory=VerboseGroup)
 
     @cached_property
     def place(self) -> Path:
         """Folder of the run."""
         if self.out is not None:
-            return self.out
+            return self.out / self.control if self.control else self.out
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", without_secret(self.policy or "")).strip("-.")
         return DEMO_OUT if self.demo else Path("runs") / f"{name[-60:]}-{time.strftime('%Y%m%d-%H%M%S')}"
 
@@ -114,15 +128,24 @@ class Run:
         return f"; finished trials are kept; to continue: {same_command(self.place)}"
 
     def __call__(self) -> int:
+        if self.video:
+            from carecontact.replay.film import pyav
+
+            pyav()
         if self.demo:
             return self._demonstrate()
         if self.policy is None:
             raise UsageError("run: name a policy with --policy (`carecontact list policies`), or give --demo")
-        return self.execute(self.policy, purpose="run")
+        status = self.execute(self.policy, purpose="run", variant=self.control or "")
+        if self.control and self.out is not None and (self.out / RESULTS).is_file():
+            from carecontact.cli.publish import write_page
+
+            lines, _ = write_page(self.out, read_run(self.out))
+            print(f"the control beside the policy without it: {lines[-1]}")
+        return status
 
     def _demonstrate(self) -> int:
         """Run the demo. Return 1 if anything keeps it from being one."""
-        from carecontact.protocol.load import load_protocol
         from carecontact.running.supervisor import check_jobs
         from carecontact.runs.lock import folder_lock
 
@@ -130,38 +153,54 @@ class Run:
             raise ConfigError(f"{wrong[0]} does not go with --demo, which takes only {', '.join(DEMO_OPTIONS[1:])}")
         began = time.monotonic()
         check_jobs(self.parallel.jobs)
-        trials = [f"{task.id}-s{DEMO_SEED:03d}" for task in load_protocol().tasks]
+        trials = [f"{task}-s{DEMO_SEED:03d}" for task in DEMO_TASKS]
         with folder_lock(self.place, make=True):
             remove_earlier_demo(self.place, trial_ids=trials)
-            replace(self, seeds=str(DEMO_SEED), out=self.place).execute(DEMO_POLICY, purpose="demo")
+            rules = replace(self.rules, protocol=DEMO_PROTOCOL, level=DEMO_LEVEL)
+            plan = {"tasks": ",".join(DEMO_TASKS), "seeds": str(DEMO_SEED), "noise_salt": DEMO_NOISE}
+            replace(self, rules=rules, out=self.place, **plan).execute(DEMO_POLICY, purpose="demo")
         problems = check_demo(self.place, trial_ids=trials)
         for problem in problems:
             print(f"demo: {problem}")
         print(f"demo {'failed' if problems else 'succeeded'} in {time.monotonic() - began:.0f} s")
         return 1 if problems else 0
 
-    def execute(self, policy: str, *, purpose: Purpose) -> int:
+    def execute(self, policy: str, *, purpose: Purpose, variant: str = "", persons: int = 0) -> int:
         """Return 1 if the harness failed in any trial or a recording was skipped, else 3 if the policy crashed in one.
 
-        A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach."""
+        A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach.
+
+        Args:
+            variant: of the policy (``interface.policy.VARIANT``).
+            persons: how many persons to train on take the place of the seeds; 0 for a run on ``seeds``.
+        """
         from carecontact.cli.policy import check_policy, policy_setup
+        from carecontact.protocol.protocol import TRAINING_SALT
         from carecontact.running.pace import check_pace
         from carecontact.running.supervisor import check_engine, check_jobs
         from carecontact.runs.lock import folder_lock
         from carecontact.runs.manifest import runs_beside, with_salt
-        from carecontact.runs.plan import Shard, parse_seeds, parse_tasks, plan_trials, with_noise_salt
+        from carecontact.runs.plan import (
+            Shard,
+            check_not_trained_on,
+            parse_seeds,
+            parse_tasks,
+            plan_trials,
+            with_noise_salt,
+        )
 
         check_jobs(self.parallel.jobs)
         check_pace(self.pace)
         shard = None if self.shard is None else Shard.parse(self.shard)
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
-        salt, setup = self.salted.salt, policy_setup(policy, self.given)
+        salt, setup = TRAINING_SALT if persons else self.salted.salt, policy_setup(policy, self.given, variant)
         setup = replace(setup, closed=(*setup.closed, *self.salted.closed))
         if warning := check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus):
             print(f"warning: {warning}")
         rules = self._protocol()
-        tasks, seeds = parse_tasks(self.tasks, protocol=rules), parse_seeds(self.seeds, protocol=rules)
+        tasks = parse_tasks(self.tasks, protocol=rules)
+        seeds = range(persons) if persons else parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
             held.enter_context(folder_lock(self.place, make=True))
             closed = replace(setup, closed=(*setup.closed, *runs_beside(self.place)))
@@ -174,6 +213,8 @@ class Run:
                 arguments=setup.arguments,
                 environment=setup.environment,
             )
+            if card is not None:
+                check_not_trained_on(card.trained_on, with_salt(planned, salt))
             planned = with_noise_salt(with_salt(planned, salt), self.noise_salt, one_of_several=shard is not None)
             specs = planned if shard is None else shard.of(planned)
             if self.restart and restart(self.place):
@@ -256,6 +297,10 @@ class Run:
         from carecontact.cli.publish import publish
         from carecontact.report.words import clipped_text
 
+        if self.video:
+            from carecontact.cli.video import film_failures
+
+            film_failures(self.place, (score for score in scores.scores if score.trial_id in summary.ran))
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
         publish(self.place, scores, compare=not summary.ran, verbose=self.output.verbose)
         if self.output.verbose:
@@ -402,9 +447,10 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
 
 
 def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
-    """Return one line for each action of the demo's protocol in which no trial succeeded."""
+    """Return one line for each action of the demo in which no trial succeeded."""
     from carecontact.protocol.load import load_protocol
 
     done = {score.action for score in scores if score.c3_success}
-    wanted = dict.fromkeys(task.action for task in load_protocol().tasks)
+    rules = load_protocol(DEMO_PROTOCOL, level=DEMO_LEVEL)
+    wanted = dict.fromkeys(rules.task(task).action for task in DEMO_TASKS)
     return [f"no {action} task succeeded" for action in wanted if action not in done]

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from carecontact.cli.groups import Switch, make_folder_of, need_recordings
-from carecontact.errors import ConfigError, RecordingError
+from carecontact.errors import CarecontactError, ConfigError, RecordingError
 
 if TYPE_CHECKING:
     from carecontact.replay.panel import Picture
+    from carecontact.scoring.result import TrialScore
 
 T = TypeVar("T")
 TERMINAL_S, PLAIN_S = 0.25, 30.0
@@ -24,7 +25,9 @@ FOLDER = "trial"
 """Folder inside a run's folder in which the pages of its trials look for their videos."""
 GIF_WIDTH = 640
 """Width of an animation [px]."""
-VIDEO_FPS, DRAFT_FPS = 25.0, 10.0
+VIDEO_FPS, DRAFT_FPS = 12.5, 6.25
+MOST_FAILURES = 3
+"""Number of failures of a run that are filmed without being asked for, at most one for each cause."""
 MOST_JOBS = 8
 """Number of processes that draw where --jobs is not given, at most: each holds a renderer in memory."""
 FRAMES_EACH = 25
@@ -41,7 +44,7 @@ class VideoGroup:
     """With --video: contact (near the region), orbit (turns round it), or one of the protocol's cameras, such as
     overhead, bedside, exterior or wrist."""
     draft: Switch = False
-    """With --video: draw no shadows and fewer frames, for a first look: about three times faster."""
+    """With --video: draw no shadows and fewer frames, for a first look: more than twice as fast."""
     jobs: int | None = None
     """With --video: number of processes that draw; default: one per core, at most 8, and fewer for a short video. The
     video does not depend on it."""
@@ -115,6 +118,22 @@ class VideoGroup:
 
         facts = {"recording": sha256, "carecontact": __version__, "view": self.camera, "fps": fps}
         return json.dumps({**facts, "grid": not self.no_grid, "draft": self.draft}, sort_keys=True)
+
+
+def film_failures(folder: Path, scores: Iterable[TrialScore]) -> None:
+    """Make draft videos of a run's first failures, one for each cause, where the run's report links them.
+
+    A video that cannot be made is named, and keeps no run from its scores.
+    """
+    first: dict[tuple[str | None, str | None], TrialScore] = {}
+    for score in scores:
+        if score.failure_mode is not None and not score.is_crash:
+            first.setdefault((score.failure_mode, score.attribution), score)
+    for score in list(first.values())[:MOST_FAILURES]:
+        try:
+            VideoGroup(draft=True).write(folder / f"{score.trial_id}.h5", out=None, fps=None)
+        except CarecontactError as error:
+            print(f"no video of {score.trial_id}: {error}", flush=True)
 
 
 def counted(items: Iterable[T], total: int, name: str) -> Iterator[T]:

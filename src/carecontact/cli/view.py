@@ -137,7 +137,7 @@ class View:
     """File to write. With --video: .mp4 or .gif, for one trial; default: trial/NAME.mp4 beside the recording. With
     --start and --notes: .png, .jpg or .pdf; default: start-TASK-sSEED.png or notes-TRIAL.png in the current folder."""
     fps: float | None = None
-    """Pictures in a second of the trial, 1 to 60; default: 12.5 in the viewer, 25 with --video, 10 with --draft."""
+    """Pictures in a second of the trial, 1 to 60; default: 12.5 in the viewer and with --video, 6.25 with --draft."""
     films: VideoGroup = field(default_factory=VideoGroup)
     sheet: StartGroup = field(default_factory=StartGroup)
 

@@ -29,6 +29,7 @@ from typing import Self, cast
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.episode.controls import Control, control_of
 from carecontact.episode.drivers import Driver, driver_of
 from carecontact.episode.foam import Foam
 from carecontact.episode.log import STOPPED_OVER, PersonLog, TrialLog
@@ -75,6 +76,11 @@ class Step:
     """Whether the time limit was reached."""
     reason: EndReason | None
     """How the episode ended; None while it goes on."""
+
+
+Teaching = Callable[[Action], tuple[Action, Action | None]]
+"""Takes the action that a policy chose; returns the one to execute, and, for a demonstration in which it is another,
+what the demonstrator would have it do (``oracle.teaching``)."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +134,9 @@ class Episode:
         self._keypoints, self._segmenters = PoseEstimator(), dict[str, PersonSegmenter | None]()
         self.privileged = False
         """Whether the policy is given the simulation; the recording says so."""
+        self.control = ""
+        """Control of what the policy observes, from LOOK_CONTROLS; set it before ``reset``."""
+        self._control: Control = _as_it_is
         self._closed = False
         self._taken: KeptWorld | None = None
         """The world that has to be given back."""
@@ -282,6 +291,7 @@ class Episode:
         )
         self._perception = PerceptionLog(self.simulation.model, self._renderer)
         self._looks = Looks(card, dt_s=dt_s)
+        self._control = control_of(self.control, self, weights=self._weights) if self.control else _as_it_is
         self._periods = steps_of_period(card.control_hz, dt_s)
         self._limit_steps = round(self.protocol.phases.time_limit_s / dt_s)
         return self._observe()
@@ -303,11 +313,13 @@ class Episode:
 
         Raises ConfigError before that, and where nothing was measured (``measured``).
         """
-        if not self.measured or not (self.privileged or self._ended is not None):
+        if not (self.privileged or self._ended is not None):
             raise ConfigError(
                 "Episode.progress: it knows what no policy may know; set episode.privileged = True before reset(), "
-                "which recordings then say, and call it after a step, or call it after the end"
+                "which recordings then say, or call it after the end"
             )
+        if not self.measured:
+            raise ConfigError("Episode.progress: nothing was measured yet; call it after the first step")
         ended = Ended("time_limit") if self._ended is None else self._ended
         header = Header.model_construct(
             spec=self.spec,
@@ -363,11 +375,13 @@ class Episode:
         self._perception.add(self.simulation.data, observation)
         self._poses.add(self.simulation.data, observation)
 
-    def step(self, action: Action, *, observe: bool = True) -> Step:
+    def step(self, action: Action, *, observe: bool = True, demonstrated: Action | None = None) -> Step:
         """Execute one action for one period of the card's control rate.
 
         Args:
             observe: whether the next observation is wanted; a chunk of actions needs one only after its last.
+            demonstrated: what a demonstrator would have done here, for the recording; give it at every step of a trial
+                or at none.
 
         Raises:
             ActionError: ``action`` is no action or lies outside its space; the episode is unchanged.
@@ -390,6 +404,8 @@ class Episode:
                 row["actions/clipped"] = np.array(clipped or self._driver.clipped)
             if self._rated:
                 row["actions/look"] = flags(action.look)
+            if demonstrated is not None:
+                row["actions/demonstrated"] = _demonstrated(demonstrated)
             if self._record:
                 self.log.add_action(self.simulation.time_s, row)
             self._run(next(self._periods), done=action.done)
@@ -503,9 +519,10 @@ class Episode:
         self._unanswered = True
         time_s = self.simulation.time_s
         taking = self._looks.due(time_s)
-        self._pending = self._builder.build(
+        built = self._builder.build(
             self.simulation.data, instruction=self.instruction, sim_time_s=time_s, cameras=taking
         )
+        self._pending = self._control(built)
         return self._looks.completed(self._pending)
 
     def _advance(self, steps: int) -> Ended | None:
@@ -574,6 +591,16 @@ def _check(spec: object) -> None:
         raise ConfigError(f"no task {spec.task_id!r} in {spec.protocol.id}; valid: {', '.join(ids)}")
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"TrialSpec.seed: expected an integer of at least 0, got {seed!r:.80}")
+
+
+def _as_it_is(observation: Observation) -> Observation:
+    return observation
+
+
+def _demonstrated(action: Action) -> np.ndarray:
+    """(8,) target and end of an action as a recording holds what a demonstrator chose; NaN without a target."""
+    pose = np.full(7, np.nan) if action.pose_tcp_in_base is None else action.pose_tcp_in_base
+    return np.append(pose, float(action.done))
 
 
 def _stopped(kind: str, message: str) -> Ended:

@@ -39,6 +39,8 @@ class Looks:
 
     def check(self, look: Collection[str]) -> None:
         """Raises ActionError for a camera that the card does not name."""
+        if isinstance(look, str):
+            raise ActionError(f'look: expected a tuple of cameras, such as ("{look}",), got "{look}"')
         if unknown := [name for name in look if name not in self._card.cameras]:
             raise ActionError(f"look: no camera {unknown[0]!r} on the card; valid: {', '.join(self._card.cameras)}")
 

@@ -47,6 +47,8 @@ class Spot:
     """About the region's axis, from the side that faces up."""
     half_m: tuple[float, float]
     """Half length along the region and half width across it."""
+    room_m: float
+    """Least distance between the patch and either end of the region."""
     colour: Rgb
     on_cells: bool
     """Whether the patch has to lie on declared cells, and not only on the region's soft shell; it is moved toward the
@@ -98,7 +100,11 @@ def lay_foam(model: mujoco.MjModel, body: Body, region: SoftRegion, frame: Regio
     def placed(along: float, around: float) -> tuple[Array, Array]:
         return _on_surface(at, normals, (along * float(frame.size_m[0]), around * spot.around_rad))
 
+    most = max(0.0, 0.5 - (spot.half_m[0] + spot.room_m) / float(frame.size_m[0]))
+
     def inside(along: float, around: float) -> bool:
+        if abs(along) > most:
+            return False
         covered = areas * (_radius(middles, *placed(along, around), spot.half_m) < 1)
         on_it = covered[on_cell] if spot.on_cells else covered
         return bool(on_it.sum() >= INSIDE * max(covered.sum(), FLAT * np.pi * np.prod(spot.half_m)))

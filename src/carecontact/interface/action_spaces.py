@@ -112,10 +112,10 @@ def allowed_stiffness(values: npt.NDArray[np.float64], bounds: ActionBounds) -> 
 
 def _stiffness(given: tuple[float, ...], bounds: ActionBounds) -> tuple[float, ...]:
     """Two numbers, or one for each axis."""
-    if len(given) not in (2, 6):
+    if np.ndim(given) != 1 or len(given) not in (2, 6):
         raise ActionError(
             "stiffness: expected 2 numbers (translational, rotational) or 6 (x y z, then about x y z), "
-            f"got {len(given)}"
+            f"got {len(given) if np.ndim(given) else given}"
         )
     allowed = allowed_stiffness(np.array(given, np.float64), bounds)
     if not allowed.all():

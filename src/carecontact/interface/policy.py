@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal, NoReturn, Protocol, Self, cast, get_args, runtime_checkable
 from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 
@@ -34,6 +35,13 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "vla-eval": ("space", "profile", "orientation"),
 }
 """Scheme -> what may stand behind the question mark."""
+TRAINED = re.compile(r"[0-9a-f]{64}|[A-Za-z0-9._-]{1,80}:[0-9]{1,9}(-[0-9]{1,9})?(,[0-9]{1,9}(-[0-9]{1,9})?){0,99}")
+"""An entry of a card's ``trained_on``."""
+LOOK_CONTROLS = ("shuffled-look", "frozen-look", "no-touch")
+"""Controls of what a policy observes (``episode.controls``)."""
+VARIANT = re.compile(r"\+(shuffled-look|frozen-look|no-touch|dagger|noise-[1-9][0-9]?mm)$")
+"""What may follow a policy's name in results: a control, or how demonstrations were made with it (``oracle.teaching``).
+The same policy with another variant is another policy."""
 API_KEY = "CARECONTACT_API_KEY"
 """Variable that holds the key of a dialect's server, if it wants one."""
 EXPECTED = {
@@ -76,6 +84,9 @@ class PolicyCard:
     ``clip`` moves the position onto the border of the workspace, and every score counts how often."""
     arguments: Mapping[str, str] = field(default_factory=dict[str, str], hash=False)
     """Arguments of --policy-arg: name -> text. The benchmark fills this field in; a policy leaves it empty."""
+    trained_on: tuple[str, ...] = ()
+    """On whom the policy was trained: the sha256 of the salt that drew the persons, as a dataset's README.md has it, or
+    the seeds of a protocol, such as ``bathing-wide-v2-draft:0-26``. A run on any of them is refused."""
     environment: tuple[str, ...] = ()
     """Names of the caller's variables that --policy-env let pass; never their values. Added like ``arguments``."""
 
@@ -108,6 +119,9 @@ class PolicyCard:
         object.__setattr__(self, "camera_hz", _camera_rates(given["camera_hz"], self.cameras))
         if not isinstance(given["tool_velocity"], bool):
             _wrong("tool_velocity", "True or False", given["tool_velocity"])
+        for entry in self.trained_on if isinstance(given["trained_on"], tuple | list) else [given["trained_on"]]:
+            if not isinstance(entry, str) or TRAINED.fullmatch(entry) is None:
+                _wrong("trained_on", "a tuple of the sha256 of salts and of PROTOCOL:SEEDS such as exam:0-26", entry)
         check_arguments(given["arguments"])
         check_variables(given["environment"])
         rate = given["control_hz"]
@@ -122,9 +136,15 @@ class PolicyCard:
         always was.
         """
         entries = {field.name: getattr(self, field.name) for field in fields(self)}
-        entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "environment")}
+        entries |= {name: list(entries[name]) for name in ("modalities", "cameras", "trained_on", "environment")}
         entries |= {name: dict(entries[name]) for name in ("arguments", "camera_hz")}
-        later: dict[str, object] = {"arguments": {}, "camera_hz": {}, "environment": [], "out_of_bounds": "error"}
+        later: dict[str, object] = {
+            "arguments": {},
+            "camera_hz": {},
+            "environment": [],
+            "out_of_bounds": "error",
+            "trained_on": [],
+        }
         later |= {"control": CARTESIAN_IMPEDANCE, "delta": "", "tool_velocity": False}
         return {name: value for name, value in entries.items() if name not in later or value != later[name]}
 
@@ -204,6 +224,8 @@ class PolicyRef:
     kind: Literal["registered", "importable", "remote"]
     text: str
     """What recordings, manifests and messages show: it never holds credentials."""
+    variant: str = ""
+    """What ends ``text`` behind a plus sign (``VARIANT``); empty for the policy as it is."""
     scheme: Scheme = "ws"
     """What the server of a remote policy speaks."""
     host: str = ""
@@ -219,14 +241,25 @@ class PolicyRef:
     def __str__(self) -> str:
         return self.text
 
+    @property
+    def name(self) -> str:
+        """The text without a variant: what a registry or an import knows."""
+        return self.text.removesuffix(f"+{self.variant}") if self.variant else self.text
+
+    def with_variant(self, variant: str) -> Self:
+        """Return the reference to the same policy in a variant."""
+        return replace(self, text=f"{self.name}+{variant}", variant=variant)
+
     @classmethod
     def parse(cls, text: str) -> Self:
         """Read ``state-machine``, ``module:Class`` (a function that returns a policy will do),
-        ``ws://[USER:PASSWORD@]HOST:PORT``, or the address of a dialect as EXPECTED has it. Whether a registered name
-        or a profile exists is checked when it is looked up.
+        ``ws://[USER:PASSWORD@]HOST:PORT``, or the address of a dialect as EXPECTED has it; a variant may follow.
+        Whether a registered name or a profile exists is checked when it is looked up.
 
         Raises ConfigError for a malformed ``module:Class`` or address; the message shows no password.
         """
+        if (variant := VARIANT.search(text)) is not None:
+            return cls.parse(text[: variant.start()]).with_variant(variant[1])
         if "://" in text:
             return cls._address(text)
         if ":" not in text:

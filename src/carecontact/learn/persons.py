@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carecontact.errors import ConfigError
-from carecontact.protocol.protocol import Protocol, TrialSpec, commitment
+from carecontact.protocol.protocol import TRAINING_SALT, Protocol, TrialSpec
 
-TRAINING_SALT = commitment("carecontact: persons for training")
-"""Salt of every trial in which a policy may learn. It is public; the scores of its trials say that they are salted."""
+__all__ = ["TRAINING_SALT", "numbers_of", "training_spec"]
 
 
 def numbers_of(persons: int | Sequence[int]) -> tuple[int, ...]:

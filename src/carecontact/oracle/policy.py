@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.episode.episode import Episode
+from carecontact.episode.episode import Episode, Teaching
 from carecontact.errors import ConfigError, ContractError
 from carecontact.interface.action import Action
 from carecontact.interface.action_spaces import clip_action
@@ -40,6 +40,19 @@ PATIENCE_S = 5.0
 GAIN_M_NS = 0.006
 """Rate of change of the depth [m/s] for each newton that the force is off. At 400 N/m on soft tissue, 1 N is about
 3.5 mm, so that the loop has a time constant of 0.6 s, twice the lag of the impedance behind its target."""
+EXCESS = 4.0
+"""Times as fast does the depth shrink under a force that is more than EXCESS_N too large."""
+EXCESS_N = 1.5
+MOVES_M_S = 0.03
+"""Above this speed of the skin, the person changes posture, and the tool is lifted off; breathing is slower."""
+CALM = 2
+"""Control periods below that speed after which the tool comes down again."""
+OFF_M = 0.015
+"""Height [m] of the target above the skin while the person moves."""
+LIFT_M_S, RETURN_M_S = 0.3, 0.06
+"""Speeds [m/s] at which the target leaves the skin and comes back to it."""
+FREE_N = 0.5
+"""Below this force [N] the tool is off the skin."""
 DEEPEST_M = 0.06
 """Largest depth [m] of the target. At 400 N/m it limits the force to 24 N, whatever force was measured."""
 MOST_LEAD_M = 0.008
@@ -47,6 +60,9 @@ MOST_LEAD_M = 0.008
 takes."""
 SMOOTHING = 0.3
 """Share of the newest value in the exponential running mean of that lead."""
+RATE_S, MOST_OFFSET_M = 3.0, 0.020
+"""The target is moved along the skin at this rate [1/s] until the middle of the contact lies where it was planned, and
+by this length [m] at most. Where skin slopes under the hand, a mitt touches it beside the tool centre point."""
 FIRST_IN_CONTACT = 3
 """Index of the leg that brings the tool down; the two legs before the last one take it up and away."""
 
@@ -92,15 +108,25 @@ class Press(_Motion):
     """A touch or a scrub on the state machine's path, which moves with the skin, at a chosen force."""
 
     def __init__(
-        self, truth: Truth, plan: Sequence[Stage], *, rests: bool, down: F64 = -UP, force_n: float = FORCE_N
+        self,
+        truth: Truth,
+        plan: Sequence[Stage],
+        *,
+        rests: bool,
+        down: F64 = -UP,
+        force_n: float = FORCE_N,
+        meets: F64 | None = None,
     ) -> None:
         """
         Args:
             rests: whether the tool stays where it came down until the force has been steady.
             down: (3,) unit vector in which the tool presses.
             force_n: force that is held [N].
+            meets: (n, 3) directions along which the middle of the contact is brought to the planned place; None: the
+                tool centre point is.
         """
         super().__init__(truth, self._run(plan, rests))
+        self._meets = np.zeros((3, 3)) if meets is None else meets.T @ meets
         self._waited, self._down, self._force_n = 0, down, force_n
         self._across = np.eye(3) - np.outer(down, down)
 
@@ -110,30 +136,51 @@ class Press(_Motion):
         return self._waited < PATIENCE_S * CONTROL_HZ
 
     def _run(self, plan: Sequence[Stage], rests: bool) -> Iterator[F64]:
-        depth_m, steady, longest, lead_m = 0.0, 0, 0, np.zeros(3)
+        depth_m, steady, longest, lead_m, calm = 0.0, 0, 0, np.zeros(3), CALM
+        offset_m = np.zeros(3)
         rests_until = max(k for k, stage in enumerate(plan) if stage.presses) if rests else -1
         at = 0
         while at < len(plan):
             stage, force = plan[at], self._truth.force_n()
             place = self._follower.follow(stage.pose[:3])
-            waits = False
+            waits = moves = False
             if stage.presses:
-                depth_m = float(np.clip(depth_m + GAIN_M_NS * (self._force_n - force) / CONTROL_HZ, 0.0, DEEPEST_M))
+                calm = 0 if self._follower.speed_m_s > MOVES_M_S else calm + 1
+                moves = calm < CALM
+                depth_m = float(np.clip(depth_m + self._sinks(force, depth_m, moves) / CONTROL_HZ, -OFF_M, DEEPEST_M))
                 lead_m = lead_m + SMOOTHING * (self._friction_m() - lead_m)
-                place = place + depth_m * self._down + lead_m
+                contact = self._truth.contact()
+                if contact is not None and not moves:
+                    off_m = self._across @ self._meets @ (self._follower.place - contact)
+                    offset_m = _shortened(offset_m + RATE_S * off_m / CONTROL_HZ, MOST_OFFSET_M)
+                place = place + depth_m * self._down + lead_m + offset_m
                 steady = steady + 1 if LEAST_N <= force <= MOST_PRESS_N else 0
                 longest = max(longest, steady)
                 unsteady = at == rests_until and longest < STEADY_S * CONTROL_HZ
                 waits = (force < LEAST_N or unsteady) and self._waited < PATIENCE_S * CONTROL_HZ
-            self._waited += waits
-            at += not waits
+            self._waited += waits and not moves
+            at += not (waits or moves)
             self.ended = at == len(plan)
             yield np.concatenate([place, stage.pose[3:]])
+
+    def _sinks(self, force_n: float, depth_m: float, moves: bool) -> float:
+        """Return the rate of change of the depth [m/s]. ``moves``: whether the person changes posture."""
+        if moves:
+            return -LIFT_M_S
+        if depth_m < 0 and force_n < FREE_N:
+            return RETURN_M_S
+        error = self._force_n - force_n
+        return GAIN_M_NS * error * (EXCESS if error < -EXCESS_N else 1.0)
 
     def _friction_m(self) -> F64:
         """Return the vector (3,) [m] along the skin by which friction holds the tool back from its target."""
         lag = self._truth.force() @ self._across / self._truth.simulation.protocol.impedance.translational_n_m
-        return lag * min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(lag)), 1e-9))
+        return _shortened(lag, MOST_LEAD_M)
+
+
+def _shortened(vector: F64, most: float) -> F64:
+    """Return a vector in its direction, no longer than ``most``."""
+    return vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 SPEED_M_S = 0.06
@@ -147,8 +194,9 @@ MOST_WRIST_M = 0.075
 mm."""
 HOLDS_N = 4.0
 """Force [N] of the push, above the 3 N from which contact counts as a push."""
-MOST_PUSH_N = 18.0
-"""Largest force [N], below the 20 N at which a person may withdraw the arm."""
+MOST_PUSH_N = 12.0
+"""Above this force [N] the tool gives way: pushing a limb over its board takes 6 to 11 N, and at 20 N a person may
+withdraw the arm."""
 TOUCHES_N = 0.5
 HOLD_S = 1.2
 FARTHEST_M = 0.20
@@ -231,14 +279,18 @@ class Oracle:
 
     def act(self, observation: Observation) -> Action:
         """Return the target for the next control period."""
+        return self.target(observation.pose_tcp_in_base, observation.sim_time_s)
+
+    def target(self, tool: F64, time_s: float) -> Action:
+        """Return the target for the next control period of a tool (7,) that is there at this time [s]."""
         if self._motion is None:
             try:
-                self._motion = self._planned(observation.pose_tcp_in_base)
+                self._motion = self._planned(tool)
             except ContractError as error:
                 self._notes["ended_without_touching"] = str(error)
                 return Action(done=True)
         inside, motion = clip_action(self._motion.act(), self._bounds), self._motion
-        if motion.ended and not motion.succeeded and observation.sim_time_s < self._again_until_s:
+        if motion.ended and not motion.succeeded and time_s < self._again_until_s:
             self._motion = None
             return inside
         return replace(inside, done=motion.ended)
@@ -259,14 +311,16 @@ class Oracle:
             return Push(truth, legs, start)
         if self._task.action not in ("touch", "scrub"):
             raise PlanningFailure(f"the oracle has no primitive for the action {self._task.action}")
-        rests, spot, down, force_n = self._task.action == "touch", truth.spot(), -UP, FORCE_N
+        rests, spot, down, force_n, meets = self._task.action == "touch", truth.spot(), -UP, FORCE_N, None
         if spot is None:
             contact = self._held(_pressed(geometry, self._task.action))
         else:
             contact = self._held(_at_foam(spot, self._task.action), list(spot.ways()))
             down, force_n = matrix_from_quat(contact[0].quat_wxyz)[:, 2], FORCE_N if rests else WASH_N
+            # Strokes are shorter than the patch, and the contact may lie ahead or behind.
+            meets = spot.axes.T[:2] if rests else spot.axes.T[1:2]
         plan = stages(travel(start, contact, travel_height_m=height), start)
-        return Press(truth, plan, rests=rests, down=down, force_n=force_n)
+        return Press(truth, plan, rests=rests, down=down, force_n=force_n, meets=meets)
 
     def _held(self, contact: Sequence[Leg], ways: Sequence[F64] = ()) -> list[Leg]:
         """Turn the hand of a motion so that it keeps clear of the rest of the person. ``ways``: as in ``hold``."""
@@ -288,9 +342,9 @@ def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
     return [*contact, *(back, forth) * STROKES, up]
 
 
-WASH_N = 4.0
+WASH_N = 4.5
 """Force [N] with which foam is wiped: near the middle of the 1 to 8 N of a scrub."""
-LANES_M = (-0.010, 0.0, 0.010)
+LANES_M = (-0.013, 0.0, 0.013)
 """Where the strokes over foam lie across it [m]."""
 LANE_PASSES = 3
 """As many as a cell needs to be clean (``scoring.foam.PASSES``)."""
@@ -299,7 +353,7 @@ REACH_M = 0.016
 WIPE_M_S = 0.06
 """Speed of a stroke over foam: at the usual 70 mm/s the force rises on the slope of a flank before the loop lowers
 it."""
-WIPE_DWELL_S = 0.4
+WIPE_DWELL_S = 0.25
 
 
 def _at_foam(spot: Foamed, action: str) -> list[Leg]:
@@ -356,18 +410,23 @@ PRIVILEGED = {"oracle": Oracle}
 """Every policy that is ever given a simulation: the classes of this package and no other, whatever a row says."""
 
 
-def drive(episode: Episode, ref: PolicyRef) -> None:
+def drive(
+    episode: Episode, ref: PolicyRef, prepared: Callable[[], Teaching] = lambda: lambda action: (action, None)
+) -> None:
     """Run a privileged policy, which is given the episode's simulation; the recording says ``privileged``.
+
+    ``prepared``: gives what turns its actions into demonstrations, once the episode has begun.
 
     Raises ConfigError for a policy that is not one of PRIVILEGED.
     """
-    if ref.text not in PRIVILEGED or not is_privileged(ref):
+    if ref.name not in PRIVILEGED or not is_privileged(ref):
         raise ConfigError(f"policy {ref}: only {', '.join(PRIVILEGED)} may be given the simulation of a trial")
-    made = PRIVILEGED[ref.text]
+    made = PRIVILEGED[ref.name]
     episode.card, episode.privileged = made.card, True
     observation = episode.reset()
     policy = made(episode.simulation, episode.task, episode.session.action_bounds)
+    teach = prepared()
     while observation is not None:
-        action = policy.act(observation)
+        executed, demonstrated = teach(policy.act(observation))
         episode.answered(notes=policy.take_notes())
-        observation = episode.step(action).observation
+        observation = episode.step(executed, demonstrated=demonstrated).observation

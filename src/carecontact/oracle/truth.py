@@ -53,6 +53,11 @@ class Truth:
         site = self.simulation.data.site(f"region_{self.region}")
         return self.simulation.encoders.in_base(self.simulation.data, site.xpos, site.xmat)
 
+    def contact(self) -> F64 | None:
+        """(3,) centroid of the contact with the soft shell; None without contact."""
+        felt = self._tissue.last(self.simulation.data, 1)[0]
+        return self._in_base(felt["centroid_m"][None])[0] if felt["normal_n"] > 0 else None
+
     def wrist(self) -> F64:
         """(3,) place of the right wrist."""
         return self._in_base(self.simulation.data.body(body_name("right_hand")).xpos[None])[0]
@@ -196,9 +201,11 @@ def displaced(points: F64, before: F64, now: F64) -> F64:
 
 RAMP_S = 2.0
 """Time [s] after the start in which the robot takes on the movement that it follows, because it begins at rest."""
-SMOOTHING = 0.3
+SMOOTHING = 0.6
 """Share of the newest velocity of the skin in the exponential running mean of this velocity."""
-MOST_LEAD_M = 0.03
+MOST_LEAD_M = 0.06
+"""Largest lead [m] of a target. A person who changes posture moves the wrist at 0.2 m/s at most, where the tool lags by
+that much."""
 
 
 class Follower:
@@ -207,19 +214,25 @@ class Follower:
     def __init__(self, truth: Truth) -> None:
         impedance = truth.simulation.protocol.impedance
         # A critically damped spring whose target moves evenly lags by damping / stiffness seconds.
-        self._lag_s = 2.0 * float(np.sqrt(impedance.effective_mass_kg / impedance.translational_n_m))
+        self.lag_s = 2.0 * float(np.sqrt(impedance.effective_mass_kg / impedance.translational_n_m))
         self._truth = truth
         self._first = self._last = truth.frame()
         self._velocity = np.zeros(3)
         self._count = 0
+        self.place = np.zeros(3)
+        """(3,) where the followed place is now [m]: the last target without its lead."""
+        self.speed_m_s = 0.0
+        """Speed of the place that was followed, over the last control period."""
 
     def follow(self, place: F64) -> F64:
         """Return where a target (3,) [m], planned when this object was made, belongs now that the region has moved."""
         now = self._truth.frame()
         moved, before = (displaced(place, self._first, frame) for frame in (now, self._last))
-        self._last = now
-        self._velocity += SMOOTHING * ((moved - before) * CONTROL_HZ - self._velocity)
-        lead = self._lag_s * self._velocity
+        self._last, self.place = now, moved
+        velocity = (moved - before) * CONTROL_HZ
+        self.speed_m_s = float(np.linalg.norm(velocity))
+        self._velocity += SMOOTHING * (velocity - self._velocity)
+        lead = self.lag_s * self._velocity
         lead *= min(1.0, MOST_LEAD_M / max(float(np.linalg.norm(lead)), 1e-9))
         self._count += 1
         return place + min(1.0, self._count / (RAMP_S * CONTROL_HZ)) * (moved + lead - place)

@@ -14,20 +14,11 @@ from carecontact.interface.action import Action
 from carecontact.interface.observation import Observation
 from carecontact.policies.language.backend import Intent
 from carecontact.policies.mean_person import MeanPersonPolicy
-from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, NEAR_SPEED_M_S, UP, Leg, sample
+from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, UP, Leg, sample
+from carecontact.policies.pressing import CONTACT, FORCE_N, Felt, Motion, along, away, end, ended, softened
 from carecontact.policies.state_machine import HOVER_M
 
 F64 = npt.NDArray[np.float64]
-Motion = Generator[Sequence[Action], Observation]
-
-FORCE_N = 3.0
-"""As the oracle presses."""
-STIFFNESS, ROTATIONAL = 400.0, 20.0
-"""[N/m] and [N m/rad] of the impedance at rest."""
-DAMPING_NS_M = 2.0 * np.sqrt(STIFFNESS * 10.0)
-"""Critical damping at the effective mass of 10 kg that the protocols give."""
-CONTACT = 3
-"""Index of the leg that brings the tool down; the last two legs take it up and away (``motion.travel``)."""
 
 
 class _Pressing(MeanPersonPolicy):
@@ -66,26 +57,8 @@ class _Pressing(MeanPersonPolicy):
         raise NotImplementedError
 
 
-def _along(legs: Sequence[Leg], start_pose: F64) -> list[Action]:
-    return [Action(pose_tcp_in_base=pose) for pose in sample(legs, start_pose)]
-
-
-def _end(leg: Leg) -> F64:
-    """(7,) pose at the end of a leg."""
-    return np.concatenate([leg.points[-1], leg.quat_wxyz])
-
-
-def _away(legs: Sequence[Leg], pose: F64) -> list[Action]:
-    """Return the way up from where the tool is, with the usual stiffness and no feedforward, and the trial's end."""
-    high = np.array([*pose[:2], max(float(legs[-1].points[-1][2]), float(pose[2]) + HOVER_M)])
-    first, *rest = _along([Leg.to(high, legs[-1].quat_wxyz, NEAR_SPEED_M_S)], pose)
-    usual = replace(first, stiffness=(STIFFNESS, ROTATIONAL), wrench_in_tcp=np.zeros(6))
-    return [usual, *rest[:-1], replace(rest[-1], done=True)]
-
-
 # Hybrid: no stiffness along the tool, where a constant force presses.
 
-SOFT = (STIFFNESS, STIFFNESS, 0.0, ROTATIONAL, ROTATIONAL, ROTATIONAL)
 LANDS_S = 2.0
 """Least wait over the place: with 3 N against the damping of a soft axis, the tool sinks by 47 mm/s, and by a third of
 that on an arm with friction and an unlucky bias."""
@@ -98,12 +71,12 @@ class MeanPersonHybrid(_Pressing):
 
     def _moves(self, legs: Sequence[Leg], lateral: F64, observation: Observation) -> Motion:
         down, *rest = legs[CONTACT:-2]
-        over = _along(legs[:CONTACT], observation.pose_tcp_in_base)
+        over = along(legs[:CONTACT], observation.pose_tcp_in_base)
         lands = replace(down, hold_s=max(down.hold_s, LANDS_S))
-        first, *presses = _along([lands, *rest], _end(legs[CONTACT - 1]))
-        soft = replace(first, stiffness=SOFT, wrench_in_tcp=np.array([0.0, 0.0, FORCE_N, 0.0, 0.0, 0.0]))
+        first, *presses = along([lands, *rest], end(legs[CONTACT - 1]))
+        soft = softened(first, FORCE_N)
         observation = yield [*over, soft, *presses]
-        yield _away(legs, observation.pose_tcp_in_base)
+        yield ended(away(legs, observation.pose_tcp_in_base))
 
 
 # Estimated: what the spring and the damper of the impedance do not explain of the tool's place is the person's force.
@@ -128,26 +101,6 @@ SETTLES_S = 1.0
 """Time that the force is given to settle, twice the time constant of the loop, before the state machine's own rest."""
 
 
-class _Felt:
-    """The vertical force that the person exerts on the tool, from where it is, where it should be, and its speed."""
-
-    def __init__(self, observation: Observation, target: F64) -> None:
-        """``target``: (7,) the last one that was sent, at which the tool rests by now."""
-        self._pose, self.target, self.zero_n = observation.pose_tcp_in_base, target, 0.0
-
-    def newtons(self, observation: Observation) -> float:
-        """``observation``: the one that answers the last target, one control period after the one before."""
-        now = observation.pose_tcp_in_base
-        rate = float(now[2] - self._pose[2]) * CONTROL_HZ
-        self._pose = now
-        return STIFFNESS * float(now[2] - self.target[2]) + DAMPING_NS_M * rate - self.zero_n
-
-    def go(self, pose: F64) -> list[Action]:
-        """Return the one action to a pose (7,)."""
-        self.target = pose
-        return [Action(pose_tcp_in_base=pose)]
-
-
 class MeanPersonEstimated(_Pressing):
     """Comes down until the encoders tell of a contact, and then keeps the estimated force at FORCE_N along the path."""
 
@@ -157,7 +110,7 @@ class MeanPersonEstimated(_Pressing):
     lowest_m = LOWEST_M
 
     def _moves(self, legs: Sequence[Leg], lateral: F64, observation: Observation) -> Motion:
-        over, down = _end(legs[CONTACT - 1]), legs[CONTACT]
+        over, down = end(legs[CONTACT - 1]), legs[CONTACT]
         skin_m = float(over[2]) - HOVER_M
         way, at = list(legs[: CONTACT - 1]), observation.pose_tcp_in_base
         for offset in self.offsets_m:
@@ -165,18 +118,18 @@ class MeanPersonEstimated(_Pressing):
             above = np.concatenate([over[:3] + shift, over[3:]])
             above[2] -= LOWER_M if offset else 0.0
             way.append(Leg.to(above[:3], above[3:], FREE_SPEED_M_S, hold_s=RESTS_S))
-            observation = yield _along(way, at)
-            felt = _Felt(observation, above)
+            observation = yield along(way, at)
+            felt = Felt(observation, above)
             met, observation = yield from self._feel(felt, skin_m - self.lowest_m, observation)
             if met:
-                observation = yield from self._press(felt, self._path(legs, _end(down), shift), observation)
+                observation = yield from self._press(felt, self._path(legs, end(down), shift), observation)
                 break
             at = felt.target
             way = [Leg.to(np.array([*at[:2], over[2] - LOWER_M]), over[3:], FREE_SPEED_M_S)]
-        yield _away(legs, observation.pose_tcp_in_base)
+        yield ended(away(legs, observation.pose_tcp_in_base))
 
     def _feel(
-        self, felt: _Felt, lowest_m: float, observation: Observation
+        self, felt: Felt, lowest_m: float, observation: Observation
     ) -> Generator[Sequence[Action], Observation, tuple[bool, Observation]]:
         """Move straight down until something is met; return whether it was."""
         found = list[float]()
@@ -199,7 +152,7 @@ class MeanPersonEstimated(_Pressing):
         return [np.concatenate([pose[:3] + shift, pose[3:]]) for pose in poses]
 
     def _press(
-        self, felt: _Felt, path: Sequence[F64], observation: Observation
+        self, felt: Felt, path: Sequence[F64], observation: Observation
     ) -> Generator[Sequence[Action], Observation, Observation]:
         """Follow a path across the skin, at the height at which the force is right."""
         height = float(felt.target[2] - path[0][2])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from carecontact.errors import ConfigError, UnknownNameError
-from carecontact.interface.policy import IMPORTABLE, SCHEMES, PolicyRef
+from carecontact.interface.policy import IMPORTABLE, LOOK_CONTROLS, SCHEMES, VARIANT, PolicyRef
 from carecontact.registry import Registry
 
 Role = Literal["method", "blind", "probe", "privileged"]
@@ -82,6 +82,11 @@ SHIPPED = {
         languages=("rules-v1", "replay", "live"),
         description="The paper's method: perceive once, choose contact primitives by language, execute open loop.",
     ),
+    "look-and-press": PolicyRow(
+        target="carecontact.policies.look_and_press:LookAndPress",
+        languages=("rules-v1", "replay", "live"),
+        description="The state machine's motions, pressed by a feedforward force; looks again and tries again.",
+    ),
     "voxposer": PolicyRow(
         target="carecontact.policies.voxposer.policy:VoxPoser",
         languages=("replay", "live"),
@@ -104,7 +109,10 @@ for _name, _row in SHIPPED.items():
 
 
 def role_of(policy: str) -> Role:
-    """Return the role of a policy as results name it; one that no row here describes is a method."""
+    """Return the role of a policy as results name it; one that no row here describes is a method. A control of what it
+    observes changes one thing about it, and is a probe."""
+    if (variant := VARIANT.search(policy)) is not None:
+        return "probe" if variant[1] in LOOK_CONTROLS else role_of(policy[: variant.start()])
     try:
         return POLICIES[policy].role if policy in POLICIES else "method"
     except ConfigError:  # another package's row that cannot be loaded any more
@@ -113,7 +121,7 @@ def role_of(policy: str) -> Role:
 
 def is_privileged(ref: PolicyRef) -> bool:
     """Whether this package's own row says so: no other package's policy is ever given a simulation."""
-    return ref.kind == "registered" and POLICIES.package(ref.text) is None and role_of(ref.text) == "privileged"
+    return ref.kind == "registered" and POLICIES.package(ref.name) is None and role_of(ref.name) == "privileged"
 
 
 def policy_target(ref: PolicyRef) -> str:
@@ -125,12 +133,12 @@ def policy_target(ref: PolicyRef) -> str:
     if ref.kind == "remote":
         raise ValueError(f"{ref.text} is not a policy of this host")
     if ref.kind == "importable":
-        return ref.text
+        return ref.name
     try:
-        row = POLICIES[ref.text]
+        row = POLICIES[ref.name]
     except UnknownNameError as error:
         addresses = (f"{scheme}://HOST:PORT" for scheme in SCHEMES)
-        raise UnknownNameError("policy", ref.text, (*error.valid, IMPORTABLE, *addresses)) from None
+        raise UnknownNameError("policy", ref.name, (*error.valid, IMPORTABLE, *addresses)) from None
     if row.role == "privileged":
         raise ConfigError(
             f"policy {ref.text} is privileged: it is given the simulation of a trial, so it cannot be served, checked, "

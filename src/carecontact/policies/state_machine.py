@@ -20,6 +20,7 @@ from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.regions import REGIONS
 from carecontact.interface.robot import ActionBounds, Session
+from carecontact.policies.foam import FoamSeen, find_foam, names_foam, strokes
 from carecontact.policies.language.backend import Intent, LanguageBackend, LanguageModel, Option, Rules
 from carecontact.policies.language.live import transcript_of
 from carecontact.policies.motion import (
@@ -112,11 +113,15 @@ def touch(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m
         depth_m: how far below the seen skin the tool is commanded [m].
     """
     skin = geometry.surface((key_point - 0.5) * 2 * geometry.half_length_m)
-    quat = radial_quat(geometry.centre_m)
-    over = skin + HOVER_M * UP
+    return touch_at(skin, radial_quat(geometry.centre_m), UP, depth_m, speed_m_s)
+
+
+def touch_at(skin: F64, quat: F64, out: F64, depth_m: float, speed_m_s: float) -> list[Leg]:
+    """Like ``touch``, at a place (3,) of the skin, with the tool held as ``quat`` (4,) and moved along ``out`` (3,)."""
+    over = skin + HOVER_M * out
     return [
         Leg.to(over, quat, FREE_SPEED_M_S),
-        Leg.to(skin - depth_m * UP, quat, speed_m_s, hold_s=TOUCH_DWELL_S),
+        Leg.to(skin - depth_m * out, quat, speed_m_s, hold_s=TOUCH_DWELL_S),
         Leg.to(over, quat, NEAR_SPEED_M_S),
     ]
 
@@ -140,6 +145,18 @@ def scrub(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m
         Leg.to(stroke[steps], quat, DESCENT_SPEED_M_S, hold_s=hold),
         *(Leg(points=path, quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=hold) for path in passes),
         Leg.to(passes[-1][-1] + depth_m * UP + HOVER_M * UP, quat, NEAR_SPEED_M_S),
+    ]
+
+
+def wipe(foam: FoamSeen, quat: F64, out: F64, depth_m: float, speed_m_s: float) -> list[Leg]:
+    """Move down at one end of the foam, to and fro along it in lanes side by side, and up, held as in ``touch_at``."""
+    ways = [way - depth_m * out for lane in strokes(foam) for way in lane]
+    first, last = ways[0][0], ways[-1][-1]
+    return [
+        Leg.to(first + (depth_m + HOVER_M) * out, quat, FREE_SPEED_M_S),
+        Leg.to(first, quat, DESCENT_SPEED_M_S, hold_s=SCRUB_END_DWELL_S),
+        *(Leg(points=way, quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=SCRUB_END_DWELL_S) for way in ways),
+        Leg.to(last + (depth_m + HOVER_M) * out, quat, NEAR_SPEED_M_S),
     ]
 
 
@@ -214,7 +231,12 @@ class Candidate:
 
 
 def candidates(
-    geometry: RegionGeometry, *, start_pose: F64, travel_height_m: float, bounds: ActionBounds | None
+    geometry: RegionGeometry,
+    *,
+    start_pose: F64,
+    travel_height_m: float,
+    bounds: ActionBounds | None,
+    foam: FoamSeen | None = None,
 ) -> list[Candidate]:
     """Return all options that the arm reaches in comfort and whose way stays inside the workspace, in a fixed order.
 
@@ -224,10 +246,11 @@ def candidates(
         start_pose: (7,) pose of the parked tool in base, position [m] and quat_wxyz.
         travel_height_m: height in base at which the tool moves level over the person [m].
         bounds: the session's limits; None leaves the workspace unlimited.
+        foam: what touches and scrubs go to, in place of the region's key points.
     """
     found = [
         Candidate(option=option, legs=legs)
-        for option, contact in _options(geometry)
+        for option, contact in (_options(geometry) if foam is None else _foam_options(geometry, foam))
         if reachable(contact) and _inside(legs := travel(start_pose, contact, travel_height_m=travel_height_m), bounds)
     ]
     if not found:
@@ -254,6 +277,23 @@ def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
         motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
         legs = push(geometry, **motion, support_height_m=support, towards_base=side == "near_side")
         yield Option(primitive="push", approach=side, **motion), legs
+
+
+def _foam_options(geometry: RegionGeometry, foam: FoamSeen) -> Iterator[tuple[Option, list[Leg]]]:
+    """Strokes are many: they are made at the slower speed alone. Where the arm has no room to lean, the hand is
+    upright."""
+    along = float((foam.centre_m - geometry.centre_m) @ geometry.axis) / (2 * geometry.half_length_m)
+    key = round(float(np.clip(0.5 + along, 0.0, 1.0)), 2)
+    radial = foam.centre_m * [1.0, 1.0, 0.0]
+    holds = [(tool_quat(-out, radial), out) for out in (foam.out, UP)]
+    for depth, speed in product(TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
+        option = Option(primitive="touch", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
+        leant, upright = (touch_at(foam.centre_on_skin, *hold, depth, speed) for hold in holds)
+        yield option, leant if reachable(leant) else upright
+    for depth, speed in product(SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S[:1]):
+        option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
+        leant, upright = (wipe(foam, *hold, depth, speed) for hold in holds)
+        yield option, leant if reachable(leant) else upright
 
 
 def reachable(contact: list[Leg]) -> bool:
@@ -309,6 +349,7 @@ class StateMachine:
         )
         self._bounds: ActionBounds | None = None
         self._intent: Intent | None = None
+        self._to_foam = False
         self._notes: dict[str, object] = {}
 
     def configure(self, session: Session) -> None:
@@ -319,6 +360,7 @@ class StateMachine:
         """Read the instruction. Raises LanguageError if the backend does not understand it."""
         self._intent, self._notes = None, {}
         self._intent = self._language.parse(instruction)
+        self._to_foam = self._intent.action != "push" and names_foam(instruction)
 
     def act(self, observation: Observation) -> Sequence[Action]:
         """Return the whole plan as one chunk of at most MAX_CHUNK actions, of which the last one ends the trial."""
@@ -344,8 +386,11 @@ class StateMachine:
         side = "right" if intent.side == "none" else intent.side
         geometry = region_from_observation(observation, intent.region, side=side, camera=CAMERA)
         height = travel_height(person_points(view), start, geometry.centre_m)
-        options = candidates(geometry, start_pose=start, travel_height_m=height, bounds=self._bounds)
+        foam = find_foam(view, geometry) if self._to_foam else None
+        options = candidates(geometry, start_pose=start, travel_height_m=height, bounds=self._bounds, foam=foam)
         self._notes |= {"method": self.card.name, "camera": CAMERA, "intent": intent.model_dump()}
+        if foam is not None:
+            self._notes["foam_m"] = foam.centre_m.round(4).tolist()
         noted: list[dict[str, object]] = []
         for candidate in options:
             corners, seen = candidate.corners_m, (view.intrinsics, view.pose_camera_in_base)

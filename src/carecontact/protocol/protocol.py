@@ -245,6 +245,12 @@ def commitment(salt: str) -> str:
     return hashlib.sha256(salt.encode()).hexdigest()
 
 
+TRAINING_SALT = commitment("carecontact: persons for training")
+"""Salt of every trial in which a policy may learn, so that none of its persons is the person of a seed of the exam. It
+is public; the scores of its trials say that they are salted."""
+TRAINING_SHA256 = commitment(TRAINING_SALT)
+
+
 class TrialSpec(BaseModel):
     """Everything that determines a trial besides the policy's answers. Frozen; part of the recording's header."""
 
@@ -278,6 +284,16 @@ class TrialSpec(BaseModel):
     def sealed(self) -> Self:
         """The trial with the hash of its salt in place of the salt, as a recording names it."""
         return self.model_copy(update={"salt": "", "salt_sha256": self.commitment}) if self.salt else self
+
+    @property
+    def trains(self) -> bool:
+        """Whether its person is one of those on whom policies are trained."""
+        return self.commitment == TRAINING_SHA256
+
+    @property
+    def opened(self) -> Self:
+        """The trial of a recording with its salt again, where that is public."""
+        return self.model_copy(update={"salt": TRAINING_SALT, "salt_sha256": ""}) if self.trains else self
 
     @property
     def trial_id(self) -> str:

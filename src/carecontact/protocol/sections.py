@@ -269,6 +269,9 @@ class Foam(Section):
     """Radius of the disc of every task but a scrub."""
     oval_m: tuple[Length, Length]
     """Half length along the region and half width across it of a scrub's oval."""
+    room_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Least distance between the patch and either end of the region, so that a tool on the patch touches no other
+    segment. On a region that is too short for it, the patch lies in the middle."""
     colours: Annotated[tuple[Annotated[str, _one_of(FOAM_COLOURS)], ...], Field(min_length=1)]
     """The seed draws one of them."""
     prompts: dict[str, str]

@@ -1,23 +1,24 @@
-"""Recordings as a dataset of LeRobot: one row for each action that the robot executed."""
+"""Recordings as episodes of a LeRobotDataset: one row for each action that the robot executed, or rows at a rate."""
 
 from __future__ import annotations
 
-import json
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.errors import ConfigError, DependencyError, RecordingError
+from carecontact.errors import RecordingError
+from carecontact.interface.deltas import DELTAS
 from carecontact.interface.geometry import pose_matrix, quat_from_matrix
+from carecontact.interface.observation import Observation
 from carecontact.interface.policy import CAMERAS
-from carecontact.pictures import png
+from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.pictures import Pictures
-from carecontact.recording.schema import Recording
+from carecontact.recording.schema import Header, Recording
 
 F32 = npt.NDArray[np.float32]
 LOOKED = "policy/looked"
@@ -30,8 +31,20 @@ class Stream:
     """The values of one quantity in every row of an episode."""
 
     names: tuple[str, ...]
-    values: F32
-    """(M, len(names))"""
+    values: npt.NDArray[Any]
+    """(M, len(names)), or (M, N, len(names))"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """The pictures of one camera as a film."""
+
+    path: Path
+    """Of a file that a dataset may move away."""
+    shape: tuple[int, int, int]
+    """(height, width, 3)"""
+    histogram: npt.NDArray[np.int64]
+    """(3, 256) as ``histogram_of``"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +57,8 @@ class Episode:
     """Camera -> (H, W, 3) images, in the order in which they were sent."""
     shown: Mapping[str, npt.NDArray[np.int64]] = field(default_factory=dict[str, Any])
     """Camera -> (M,) index of the image that the policy had when it chose the action."""
+    clips: Mapping[str, Clip] = field(default_factory=dict[str, Clip])
+    """Camera -> film with an image for every row, in place of ``images``."""
 
     def __len__(self) -> int:
         return len(self.streams["action"].values)
@@ -177,246 +192,119 @@ class _Images(Sequence[npt.NDArray[np.uint8]]):
         return self._pictures[self._indices[at], self._camera, "rgb"]
 
 
-Format = Literal["v3.0", "v2.1"]
-FILES_IN_CHUNK = 1000
-FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
-DATA_PATHS: dict[Format, str] = {
-    "v3.0": f"data/{FILE}.parquet",
-    "v2.1": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
-}
-INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-"""Columns that every row has; the first is float32, the others are int64."""
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-IMAGE = "observation.images."
+LAG = ("lag_x", "lag_y", "lag_z", "lag_rx", "lag_ry", "lag_rz")
+DELTA = ("dx", "dy", "dz", "rx", "ry", "rz")
+BASE = "metres-base"
+"""The convention of ``action.delta`` and of the lag (``interface.deltas``)."""
 
 
-@dataclass(kw_only=True)
-class Dataset:
-    """A LeRobotDataset: parquet files of rows with images in them, and JSON beside. Format v3.0 is what lerobot reads
-    since its release 0.4, v2.1 what openpi's trainer reads.
+def rows_of(recording: Recording, seen: Sequence[Observation], *, hz: float, success: bool) -> dict[str, Stream]:
+    """Return the streams of rows at a rate: state, absolute and relative action, and how the trial ended.
 
-    It is written one episode at a time, each into a data file of its own; ``close`` writes the metadata. Images are PNG
-    inside the rows, without loss.
-    """
-
-    folder: Path
-    robot: str
-    version: Format = "v3.0"
-    _features: dict[str, Any] = field(default_factory=dict[str, Any])
-    _fps: float = 0.0
-    _tasks: list[str] = field(default_factory=list[str])
-    _episodes: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    _episode_stats: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    _columns: dict[str, list[Any]] = field(default_factory=dict[str, list[Any]])
-    _pixels: dict[str, Any] = field(default_factory=dict[str, Any])
-    """Column of a camera -> histogram of all its rows so far, (3, 256)."""
-    _rows: int = 0
-
-    def add(self, episode: Episode, *, name: str) -> None:
-        """Write one episode. ``name``: of the trial, for messages.
-
-        Raises ConfigError if its streams, images or rate are not those of the episodes before.
-        """
-        found = features_of(episode)
-        if not self._features:
-            self._features, self._fps = found, episode.fps
-        if found != self._features or episode.fps != self._fps:
-            keys = sorted(found.keys() | self._features.keys())
-            differing = ", ".join(key for key in keys if found.get(key) != self._features.get(key))
-            what = differing or f"a rate of {episode.fps} Hz and not {self._fps} Hz"
-            raise ConfigError(f"{name} cannot be in one dataset with the trials before it: it differs in {what}")
-        if episode.instruction not in self._tasks:
-            self._tasks.append(episode.instruction)
-        number, length = len(self._episodes), len(episode)
-        chunk, file = divmod(number, FILES_IN_CHUNK)
-        place = {"chunk_index": chunk, "file_index": file, "episode_chunk": chunk, "episode_index": number}
-        columns = {key: s.values for key, s in episode.streams.items()} | self._indices(episode, number)
-        pixels = {
-            IMAGE + camera: _histogram(images, episode.shown[camera]) for camera, images in episode.images.items()
-        }
-        features = {**self._features, **_INDEX_FEATURES}
-        _write(self.folder / DATA_PATHS[self.version].format(**place), columns, _encoded(episode), features)
-        for key, values in columns.items():
-            self._columns.setdefault(key, []).append(values)
-        for key, histogram in pixels.items():
-            self._pixels[key] = self._pixels.get(key, 0) + histogram
-        self._episodes.append({"episode_index": number, "tasks": [episode.instruction], "length": length})
-        self._episode_stats.append(_stats(columns, pixels))
-        self._rows += length
-
-    def close(self) -> None:
-        """Write the metadata. Raises ConfigError for a dataset without an episode."""
-        if not self._episodes:
-            raise ConfigError(f"{self.folder}: no trial could be exported, so there is no dataset")
-        meta = self.folder / "meta"
-        meta.mkdir(parents=True, exist_ok=True)
-        (meta / "info.json").write_text(json.dumps(self._info(), indent=4) + "\n")
-        if self.version == "v2.1":
-            stats = [{"episode_index": k, "stats": found} for k, found in enumerate(self._episode_stats)]
-            tasks = [{"task_index": k, "task": task} for k, task in enumerate(self._tasks)]
-            for file, lines in (("episodes", self._episodes), ("episodes_stats", stats), ("tasks", tasks)):
-                (meta / f"{file}.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
-            return
-        arrow, parquet = _pyarrow()
-        whole = _stats({key: np.concatenate(parts) for key, parts in self._columns.items()}, self._pixels)
-        (meta / "stats.json").write_text(json.dumps(whole, indent=4) + "\n")
-        (meta / "episodes" / "chunk-000").mkdir(parents=True, exist_ok=True)
-        parquet.write_table(
-            arrow.Table.from_pylist(self._episode_rows()),
-            meta / "episodes" / f"{FILE.format(chunk_index=0, file_index=0)}.parquet",
-        )
-        parquet.write_table(_task_table(self._tasks), meta / "tasks.parquet")
-
-    def _episode_rows(self) -> list[dict[str, Any]]:
-        """Return what v3.0 has of each episode. lerobot's tools compute the statistics of a changed dataset from the
-        columns ``stats/FEATURE/NAME``."""
-        rows: list[dict[str, Any]] = []
-        begin = 0
-        for episode, stats in zip(self._episodes, self._episode_stats, strict=True):
-            chunk, file = divmod(episode["episode_index"], FILES_IN_CHUNK)
-            end = begin + episode["length"]
-            row = {**episode, "data/chunk_index": chunk, "data/file_index": file}
-            row |= {"dataset_from_index": begin, "dataset_to_index": end}
-            row |= {f"stats/{key}/{name}": v for key, found in stats.items() for name, v in found.items()}
-            rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
-            begin = end
-        return rows
-
-    def _indices(self, episode: Episode, number: int) -> dict[str, Any]:
-        frames = np.arange(len(episode), dtype=np.int64)
-        task = self._tasks.index(episode.instruction)
-        return {
-            "timestamp": (frames / episode.fps).astype(np.float32),
-            "frame_index": frames,
-            "episode_index": np.full(len(episode), number, np.int64),
-            "index": frames + self._rows,
-            "task_index": np.full(len(episode), task, np.int64),
-        }
-
-    def _info(self) -> dict[str, Any]:
-        count = len(self._episodes)
-        if self.version == "v2.1":
-            own = {"total_videos": 0, "total_chunks": -(-count // FILES_IN_CHUNK)}
-        else:
-            own = {"data_files_size_in_mb": 100, "video_files_size_in_mb": 200}
-        return {
-            "codebase_version": self.version,
-            "robot_type": self.robot,
-            "total_episodes": count,
-            "total_frames": self._rows,
-            "total_tasks": len(self._tasks),
-            "chunks_size": FILES_IN_CHUNK,
-            **own,
-            "fps": self._fps,
-            "splits": {"train": f"0:{count}"},
-            "data_path": DATA_PATHS[self.version],
-            "video_path": None,
-            "features": {**self._features, **_INDEX_FEATURES},
-        }
-
-
-_INDEX_FEATURES = {
-    name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in INDICES
-}
-
-
-def features_of(episode: Episode) -> dict[str, Any]:
-    """Name of each stream and camera -> its type, shape and names, as info.json has them."""
-    features: dict[str, Any] = {
-        key: {"dtype": "float32", "shape": [len(stream.names)], "names": list(stream.names)}
-        for key, stream in episode.streams.items()
-    }
-    for camera, images in episode.images.items():
-        shape = list(images[0].shape)
-        features[IMAGE + camera] = {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]}
-    return features
-
-
-def _encoded(episode: Episode) -> dict[str, list[dict[str, Any]]]:
-    """Camera's column -> the image of every row as PNG."""
-    columns: dict[str, list[dict[str, Any]]] = {}
-    for camera, images in episode.images.items():
-        encoded = [{"bytes": png(image), "path": None} for image in images]
-        columns[IMAGE + camera] = [encoded[k] for k in episode.shown[camera]]
-    return columns
-
-
-def _write(
-    path: Path, columns: dict[str, Any], images: dict[str, list[dict[str, Any]]], features: dict[str, Any]
-) -> None:
-    arrow, parquet = _pyarrow()
-    arrays: dict[str, Any] = {}
-    for name, values in columns.items():
-        flat = values.ndim == 1 or values.shape[1] == 1
-        arrays[name] = arrow.array(values.reshape(-1) if flat else list(values))
-    kind = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
-    arrays |= {name: arrow.array(rows, type=kind) for name, rows in images.items()}
-    # The library `datasets`, by which lerobot reads the file, learns from this which columns are images.
-    kinds = {name: _kind(features[name]) for name in arrays}
-    table = arrow.table(arrays).replace_schema_metadata({"huggingface": json.dumps({"info": {"features": kinds}})})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # Rows that show the same image share its bytes in a file whose dictionary has room for all of them.
-    parquet.write_table(table, path, dictionary_pagesize_limit=1 << 30)
-
-
-def _kind(feature: dict[str, Any]) -> dict[str, Any]:
-    if feature["dtype"] == "image":
-        return {"_type": "Image"}
-    value = {"dtype": feature["dtype"], "_type": "Value"}
-    return value if feature["shape"] == [1] else {"feature": value, "_type": "Sequence"}
-
-
-def _task_table(names: list[str]) -> Any:
-    """Texts of the tasks as the index of a pandas frame, which is what the reader expects."""
-    arrow, _ = _pyarrow()
-    index = "__index_level_0__"
-    text = {"name": None, "field_name": index, "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
-    kinds = {"pandas_type": "int64", "numpy_type": "int64", "metadata": None}
-    number = {"name": "task_index", "field_name": "task_index", **kinds}
-    about = {"index_columns": [index], "column_indexes": [], "columns": [number, text], "pandas_version": "2.2.0"}
-    table = arrow.table({"task_index": arrow.array(range(len(names)), type=arrow.int64()), index: names})
-    return table.replace_schema_metadata({"pandas": json.dumps(about)})
-
-
-def _stats(columns: dict[str, Any], pixels: dict[str, Any]) -> dict[str, Any]:
-    """Statistics of every column of rows, in lerobot's shapes: a list of numbers, and (3, 1, 1) for an image in [0, 1].
+    Row t holds the state at the time t / hz and the target that was given there. The tool reaches a target about 0.35 s
+    later. Where the recording holds what a demonstrator chose, that is ``action``, and ``action.executed`` is what the
+    robot was given. A delta is from the target of the row before to ``action``, and the lag from the tool to it.
 
     Args:
-        columns: name -> (N, D) or (N,).
-        pixels: column of a camera -> histogram of its rows (3, 256).
+        seen: observations at these times, from t = 0 on, one for each row.
+        success: whether the trial passed its gate safely.
+
+    Raises RecordingError for a trial without an action, or one whose actions are no poses of the tool.
     """
-    stats: dict[str, Any] = {}
-    rows = len(columns["index"])
-    for key, values in columns.items():
-        numbers = np.asarray(values, float).reshape(rows, -1)
-        found = {"min": numbers.min(0), "max": numbers.max(0), "mean": numbers.mean(0), "std": numbers.std(0)}
-        found |= {name: np.quantile(numbers, q, axis=0) for name, q in QUANTILES.items()}
-        stats[key] = {**{name: row.tolist() for name, row in found.items()}, "count": [rows]}
-    levels = np.arange(256) / 255
-    for key, histogram in pixels.items():
-        mean = [np.average(levels, weights=channel) for channel in histogram]
-        found = {
-            "min": [levels[channel > 0].min() for channel in histogram],
-            "max": [levels[channel > 0].max() for channel in histogram],
-            "mean": mean,
-            "std": [np.average((levels - m) ** 2, weights=c) ** 0.5 for m, c in zip(mean, histogram, strict=True)],
-        }
-        for name, q in QUANTILES.items():
-            found[name] = [np.quantile(levels, q, weights=c, method="inverted_cdf") for c in histogram]
-        stats[key] = {**{name: [[[float(v)]] for v in row] for name, row in found.items()}, "count": [rows]}
-    return stats
+    arrays, header = recording.arrays, recording.header
+    if not len(arrays["actions/time_s"]) or "actions/joint" in arrays:
+        raise RecordingError(f"{header.spec.trial_id}: rows at a rate need actions that are poses of the tool")
+    start, half_s = seen[0].pose_tcp_in_base, header.spec.protocol.physics.dt_s / 2
+    times_s = np.arange(len(seen)) / hz
+    given = np.searchsorted(arrays["actions/time_s"], times_s + half_s, side="right") - 1
+    executed = _held(arrays["actions/pose_tcp_in_base"], start, given)
+    chosen, done, ends = executed, np.zeros(len(seen)), float(header.ended == "done")
+    if "actions/demonstrated" in arrays:
+        label = arrays["actions/demonstrated"]
+        chosen = _held(label[:, :7], start, given)
+        done, ends = np.where(given < 0, 0.0, label[given, 7]), label[-1, 7]
+    # The action that ends a trial may lie between two rows.
+    done[-1] = max(done[-1], ends)
+    before = np.vstack([start, executed[:-1]])
+    deltas, tool = DELTAS[BASE], np.array([each.pose_tcp_in_base for each in seen])
+    relative = [deltas.delta(pose, measured=last, last=last) for pose, last in zip(chosen, before, strict=True)]
+    lag = [deltas.delta(last, measured=pose, last=pose) for last, pose in zip(before, tool, strict=True)]
+    joints = range(1, 1 + len(seen[0].joint_position))
+    state = {POSE: _same_sign(tool), tuple(f"joint{k}" for k in joints): [each.joint_position for each in seen]}
+    state |= {tuple(f"velocity{k}" for k in joints): [each.joint_velocity for each in seen], LAG: lag}
+    last = np.arange(len(seen)) == len(seen) - 1
+    streams = {
+        "observation.state": _stream(sum(state, ()), *state.values()),
+        "action": _stream((*POSE, "done"), _same_sign(chosen), done[:, None]),
+        "action.delta": _stream((*DELTA, "done"), relative, done[:, None]),
+        "next.done": Stream(names=("done",), values=last[:, None]),
+        "next.success": Stream(names=("success",), values=(last & success)[:, None]),
+        "person": Stream(names=("person",), values=np.full((len(seen), 1), person_of(header.spec))),
+    }
+    if "actions/demonstrated" in arrays:
+        streams["action.executed"] = _stream(POSE, _same_sign(executed))
+    return streams
 
 
-def _histogram(images: Sequence[Any], shown: Any) -> Any:
-    """(3, 256) how often each channel has each level, over all pixels of all rows."""
+def person_of(spec: TrialSpec) -> int:
+    """Return the number of a trial's person, to split a dataset by; it is the same on all levels and for all tasks, and
+    reveals neither seed nor salt."""
+    text = f"{spec.commitment} {spec.protocol.drawn_as} {spec.seed}"
+    return int(hashlib.sha256(text.encode()).hexdigest()[:12], 16)
+
+
+def _stream(names: tuple[str, ...], *parts: Any) -> Stream:
+    return Stream(names=names, values=np.hstack([np.asarray(part, np.float32) for part in parts]))
+
+
+def _held(poses: npt.NDArray[Any], before: npt.NDArray[Any], rows: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """(M, 7) the target in force at each row. ``rows``: number of the row's last action, -1 before the first."""
+    known = np.vstack([before, poses])
+    last = np.maximum.accumulate(np.where(np.isnan(known[:, 0]), 0, np.arange(len(known))))
+    return known[last][rows + 1]
+
+
+def _same_sign(poses: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A quaternion and its negative are one rotation: begin with a positive largest number, and keep the sign from row
+    to row."""
+    quats = poses[:, 3:]
+    first = np.sign(quats[0, np.abs(quats[0]).argmax()])
+    turned = np.cumprod(np.where(np.sum(quats[1:] * quats[:-1], axis=1) < 0, -1.0, 1.0))
+    return np.hstack([poses[:, :3], quats * first * np.append(1.0, turned)[:, None]])
+
+
+def histogram_of(images: Sequence[Any], shown: Any) -> npt.NDArray[np.int64]:
+    """(3, 256) how often each channel has each level, over all pixels of all rows. ``shown``: image of each row."""
     total = np.zeros((3, 256), np.int64)
     for image, rows in zip(images, np.bincount(shown, minlength=len(images)), strict=True):
         total += rows * np.array([np.bincount(image[:, :, channel].ravel(), minlength=256) for channel in range(3)])
     return total
 
 
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        return import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ModuleNotFoundError:
-        raise DependencyError("a dataset needs pyarrow: pip install 'carecontact[tables]'") from None
+def about_dataset(header: Header, *, rendered: bool, trials: str) -> str:
+    """Return what README.md of a dataset says of its trials. ``header``: of any of them; ``trials``: which of them."""
+    spec = header.spec
+    shown = "was given the simulation" if header.privileged else "received only what a policy receives"
+    persons = (
+        "persons to train on, whom a public salt draws and no exam has"
+        if spec.trains
+        else "the protocol's own persons: **a policy that is trained on them must not be tested on them**"
+    )
+    return f"""# {spec.protocol.title}
+
+- Demonstrator: {spec.policy}, which {shown} (privileged: {str(header.privileged).lower()}).
+- Persons: {persons}. Sha256 of the salt: {spec.commitment or "none"}. Trials: {trials}.
+- Protocol: {spec.protocol.title}, sha256 {spec.protocol.sha256}.
+{ROWS if rendered else ""}"""
+
+
+ROWS = """\
+- A row holds the state at its time and the target that was given at that state. The tool arrives about 0.35 s later.
+- `action` is absolute: position [m] and quaternion (w, x, y, z) of the tool in the robot's base, and 1 where the trial
+  is declared done. `action.delta` leads from the target of the row before to `action`: translation [m] and rotation
+  vector [rad] along the axes of the base. `action.executed`, if any, is what the robot was given where that was
+  disturbed or chosen by another policy; `action` is then what the demonstrator wanted.
+- `observation.state` ends with the lag, from the tool to the target before: the tool feels through it.
+- Pictures are the middle square of the camera's, each pixel the mean of the area that it covers.
+- Split by `person`: a person appears in several tasks.
+"""

@@ -29,9 +29,10 @@ RELEASE_0_1_0 = "0.1.0 (commit 663c7e2317bf04e7b79c6a85d596936bd4fd816c)"
 """The release that reads the schemas of ``READ_BY_0_1_0``, as CHANGELOG.md names it."""
 
 EndReason = Literal["done", "time_limit", "safety_truncation", "process_failure", "harness_error"]
-Origin = Literal["isolated", "served", "in-process"]
+Origin = Literal["isolated", "served", "in-process", "training"]
 """Who held the loop of a trial: a trial's worker (``running.worker``), with the policy in a process of its own that it
-isolated, or behind an address; or any other program, which had policy and simulation in one process."""
+isolated, or behind an address; any other program, which had policy and simulation in one process; or a worker, with a
+person of the public training salt, on whom policies are trained."""
 RANKED: tuple[Origin, ...] = ("isolated", "served")
 """Origins of the recordings that comparisons, ranked tables and merged runs accept."""
 FAILED: tuple[EndReason, ...] = ("process_failure", "harness_error")
@@ -76,6 +77,7 @@ ARRAYS: dict[str, tuple[str, str]] = {
 
 OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "actions/delta": ("f8", "(M, 6) numbers of ``cartesian_delta``, NaN where the action kept the last target"),
+    "actions/demonstrated": ("f8", "(M, 8) target that the demonstrator chose, NaN for none, and 1 where it was done"),
     "actions/joint": ("f8", "(M, Q) joint positions [rad] or velocities, as the card's action space has them"),
     "actions/axis_stiffness": ("f8", "(M, 6) in force, per axis of the target: x y z [N/m], about x y z [N m/rad]"),
     "actions/clipped": ("u1", "(M,) 1 where a target outside the workspace was moved onto its border"),

@@ -6,7 +6,7 @@ import os
 import pickle
 import signal
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -73,8 +73,6 @@ class Picturing:
     grid: SkinGrid | None
     size: tuple[int, int]
     """(width, height) of the picture without the charts [px]"""
-    lamps: int
-    """see ``Stage``"""
     shadows: bool
 
 
@@ -87,7 +85,7 @@ class Painter:
         self._data = mujoco.MjData(what.model)
         self._panels: dict[Kind, Panel] = {}
         self._foam_left: npt.NDArray[np.float64] | None = None
-        self._stage = Stage(what.model, what.skin, width=what.size[0], height=what.size[1], lamps=what.lamps)
+        self._stage = Stage(what.model, what.skin, width=what.size[0], height=what.size[1])
 
     def __enter__(self) -> Painter:
         return self
@@ -222,10 +220,9 @@ class Film:
         recording: Recording,
         *,
         view: str = CONTACT,
-        fps: float = 25.0,
+        fps: float = 12.5,
         grid: bool = True,
         shadows: bool = True,
-        lamps: int = 1,
         panel: bool = True,
         size: tuple[int, int] = PICTURE,
     ) -> None:
@@ -234,8 +231,7 @@ class Film:
             view: a name of ``views.view_names``.
             fps: frames in a second of the trial.
             grid: whether lines on the region's skin show how it gives way.
-            shadows: whether the picture has shadows, which cost more than half of its time.
-            lamps: see ``Stage``.
+            shadows: whether the picture has shadows, which cost a third of its time.
             panel: whether the charts stand beside the picture.
             size: (width, height) of the picture without the charts [px].
 
@@ -243,13 +239,13 @@ class Film:
             ConfigError: no such view.
             RecordingError: the recording cannot be shown.
         """
-        spec = recording.header.spec
+        spec = recording.header.spec.opened
         check_view(view, spec.protocol)
         self._fps = fps
         self.replay = Replay(recording)
         region = spec.protocol.task(spec.task_id).region
         scene = film_scene(self.replay.scene, region)
-        randomize_appearance(scene, spec.seed)
+        randomize_appearance(scene, spec.seed, salt=spec.salt)
         set_place(scene, scene.place)
         skin = FilmSkin(scene)
         near = clear_view(recording, scene.model, skin) if view == CONTACT else None
@@ -257,7 +253,7 @@ class Film:
         """The camera at each time."""
         inset = panel and view != INSET_CAMERA and INSET_CAMERA in spec.protocol.cameras
         self._what = Picturing(
-            model=scene.model, skin=skin, foam=scene.foam, view=self.view, size=size, lamps=lamps, shadows=shadows,
+            model=scene.model, skin=skin, foam=scene.foam, view=self.view, size=size, shadows=shadows,
             inset=view_of(INSET_CAMERA, recording) if inset else None,
             story=story_of(recording) if panel else None,
             grid=SkinGrid(scene, region) if grid and region in scene.regions else None,
@@ -309,12 +305,20 @@ def pyav() -> Any:
         raise DependencyError("a video needs PyAV: pip install 'carecontact[viz]'") from None
 
 
-def write_mp4(path: Path, frames: Iterable[Picture], *, fps: float, comment: Callable[[], str] | str) -> None:
+def write_mp4(
+    path: Path,
+    frames: Iterable[Picture],
+    *,
+    fps: float,
+    comment: Callable[[], str] | str,
+    more: Mapping[str, str] | None = None,
+) -> None:
     """Write a video as a whole or not at all.
 
     Args:
         frames: (H, W, 3) each, of one size with even sides.
         comment: kept in the file's metadata, where ``comment_of`` finds it.
+        more: further options of x264.
     """
     av, part = pyav(), path.with_name(path.name + PART)
     rate = Fraction(fps).limit_denominator(1000)
@@ -324,7 +328,9 @@ def write_mp4(path: Path, frames: Iterable[Picture], *, fps: float, comment: Cal
             file.metadata["comment"] = comment if isinstance(comment, str) else comment()
             for picture in frames:
                 if stream is None:
-                    stream = file.add_stream("libx264", rate=rate, options={"preset": PRESET, "crf": QUALITY})
+                    stream = file.add_stream(
+                        "libx264", rate=rate, options={"preset": PRESET, "crf": QUALITY, **(more or {})}
+                    )
                     stream.height, stream.width = picture.shape[:2]
                     stream.pix_fmt = "yuv420p"
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))

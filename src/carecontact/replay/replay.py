@@ -125,11 +125,6 @@ class Replay:
         self.step_count = len(recording["scorer/time_s"])
         if not len(self.stored) or not self.step_count:
             raise RecordingError(f"{self.title}: the trial ended before t = 0, so there is nothing to show")
-        if header.spec.salt_sha256:
-            raise RecordingError(
-                f"{self.title}: its person was drawn with a secret of which the recording holds the hash only, so that "
-                "its world cannot be built again"
-            )
         self.simulation = _world(header)
         self.scene, self.model = self.simulation.scene, self.simulation.model
         size = mujoco.mj_stateSize(self.model, STATE)
@@ -246,14 +241,14 @@ class _Run:
 
 
 def _world(header: Header) -> Simulation:
-    spec = header.spec
+    spec = header.spec.opened
     if spec.salt_sha256:
-        # Its person cannot be drawn again without the salt, which no recording holds.
         raise RecordingError(
-            f"{spec.trial_id}: a trial of a salted run cannot be shown, since its recording lacks the salt"
+            f"{spec.trial_id}: its person was drawn with a secret of which the recording holds the hash only, so that "
+            "its world cannot be built again"
         )
     try:
-        simulation, _, _ = settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
+        simulation, _, _ = settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
     except SceneError as error:
         raise RecordingError(_foreign(header, str(error))) from None
     control = None if header.control is None else CONTROLS[header.control]

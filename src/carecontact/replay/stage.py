@@ -18,6 +18,7 @@ from carecontact.human.mesh import refined
 from carecontact.human.skin import add_skin
 from carecontact.interface.regions import REGIONS
 from carecontact.pictures import FINENESS, coverage, fine
+from carecontact.replay.shadow import MAP_PX, Eye, Lamp, edges, metres_of_lamp, shade, smooth, widened
 from carecontact.sim.opengl import import_opengl
 from carecontact.sim.state import skin_in_world
 from carecontact.tissue.plugin import Readings
@@ -35,26 +36,6 @@ TOLERANCE_M = 0.0025
 """A line is drawn where nothing lies farther in front of it."""
 LINE_COLOUR, DARKNESS = (60, 30, 22), 0.42
 """A line's colour, and the share of it in a pixel that the line covers."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Eye:
-    """A pinhole camera of one picture."""
-
-    position: F64
-    """(3,)"""
-    axes: F64
-    """(3, 3) rows right, down, forward in the world"""
-    focal_px: float
-    size: tuple[int, int]
-    """(width, height)"""
-
-    def pixels(self, points: F64) -> tuple[F64, F64]:
-        """(N, 3) in the world -> (N, 2) pixels and (N,) distance along the optical axis [m]."""
-        local = (points - self.position) @ self.axes.T
-        depth = np.maximum(local[:, 2], 1e-3)
-        middle = (np.array(self.size) - 1) / 2
-        return self.focal_px * local[:, :2] / depth[:, None] + middle, local[:, 2]
 
 
 class SkinGrid:
@@ -237,20 +218,13 @@ def _following(skin: F64, shell: F64) -> csr_array:
 
 Picture = npt.NDArray[np.uint8]
 
-SAMPLES = 4
-"""Number of samples for each pixel (multisampling)."""
-SHADOW_SIZE = 2048
-"""Pixels of the shadow map, each way."""
 KEY_DIRECTION = (-0.40, -0.62, -0.68)
 """Direction in which the lamp shines that casts shadows."""
-KEY_SPREAD = 0.03
-"""How far the directions differ where several lamps stand for this one [rad]."""
 FILL_DIRECTION = (0.55, 0.65, -0.5)
 SHOULDER_DEG = 15.0
 """Level angle between the camera's direction and that of a lamp that turns with it."""
 KEY, FILL, AMBIENT, HEADLIGHT = 0.58, 0.20, 0.30, 0.14
 """Strengths."""
-LAMP_DISTANCE_M = 2.0
 KEY_AZIMUTH_DEG = float(np.degrees(np.arctan2(KEY_DIRECTION[1], KEY_DIRECTION[0])))
 
 
@@ -276,25 +250,22 @@ class View:
 class Stage:
     """One OpenGL context for pictures of one size at most. Use it as a context manager."""
 
-    def __init__(self, model: mujoco.MjModel, skin: FilmSkin, *, width: int, height: int, lamps: int) -> None:
+    def __init__(self, model: mujoco.MjModel, skin: FilmSkin, *, width: int, height: int) -> None:
         """
         Args:
             model: a film's (``film.skin.film_scene``).
             skin: of the same model.
-            lamps: how many stand for one broad lamp: where only some of them are covered, the shadow is soft. Each
-                costs as much as the rest of a picture.
 
         Raises DependencyError where nothing can be rendered.
         """
         self._model = model
-        self._lamps = lamps
         self._skin = skin
         quality, far = model.vis.quality, model.vis.global_
-        quality.offsamples, quality.shadowsize = SAMPLES, SHADOW_SIZE
-        far.offwidth, far.offheight = width, height
+        quality.offsamples = 0
+        far.offwidth, far.offheight = max(width, MAP_PX), max(height, MAP_PX)
         model.vis.map.zfar = 8.0
         try:
-            self._context: Any = import_opengl()(width, height)
+            self._context: Any = import_opengl()(far.offwidth, far.offheight)
             self._context.make_current()
             self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         except (RuntimeError, AttributeError, mujoco.FatalError) as error:
@@ -302,7 +273,8 @@ class Stage:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._option = mujoco.MjvOption()
         self._made = mujoco.MjvScene(model, maxgeom=4 * model.ngeom + 2000)
-        self._made.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
+        for flag in (mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SHADOW):
+            self._made.flags[flag] = False
         self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
 
     def __enter__(self) -> Stage:
@@ -329,15 +301,36 @@ class Stage:
             self._model, data, self._option, mujoco.MjvPerturb(), camera, mujoco.mjtCatBit.mjCAT_ALL.value, made
         )
         vertices, _ = self._skin.shape(data, made)
-        self._light(view)
-        rect, out = mujoco.MjrRect(0, 0, *size), np.empty((size[1], size[0], 3), np.uint8)
-        depth = None if grid is None else np.empty((size[1], size[0]), np.float32)
-        mujoco.mjr_render(rect, made, self._mjr)
-        mujoco.mjr_readPixels(out, depth, rect, self._mjr)
-        out = np.ascontiguousarray(out[::-1])
-        if grid is not None and depth is not None:
-            grid.draw(out, self._metres(depth[::-1]), vertices, eye_of(made, size))
+        key, fill = self._light(view)
+        out, depth = self._render(size)
+        eye = eye_of(made, size)
+        metres, edge = self._metres(depth), edges(depth)
+        if view.radius_m > 0:
+            lamp = Lamp.of(view.look_at, key, view.radius_m)
+            lamp.aim(made.camera)
+            made.nlight = 0
+            height_m = metres_of_lamp(self._render((MAP_PX, MAP_PX))[1])
+
+            def key_share(normal: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+                from_key, from_fill, from_head = (
+                    strength * np.maximum(-(normal @ way.astype(np.float32)), 0)
+                    for strength, way in ((KEY, key), (FILL, fill), (HEADLIGHT, eye.axes[2]))
+                )
+                return (from_key / (AMBIENT + from_key + from_fill + from_head)).astype(np.float32)
+
+            shade(out, metres, widened(widened(edge)), eye, lamp, height_m, key_share)
+        smooth(out, edge)
+        if grid is not None:
+            grid.draw(out, metres, vertices, eye)
         return out
+
+    def _render(self, size: tuple[int, int]) -> tuple[Picture, npt.NDArray[np.float32]]:
+        """Draw the prepared scene: (height, width, 3), and (height, width) of MuJoCo's depth buffer."""
+        rect, out = mujoco.MjrRect(0, 0, *size), np.empty((size[1], size[0], 3), np.uint8)
+        depth = np.empty((size[1], size[0]), np.float32)
+        mujoco.mjr_render(rect, self._made, self._mjr)
+        mujoco.mjr_readPixels(out, depth, rect, self._mjr)
+        return np.ascontiguousarray(out[::-1]), depth[::-1]
 
     def skin_changed(self) -> None:
         """Take over the skin's texture from the model, after a change of it."""
@@ -348,40 +341,24 @@ class Stage:
         extent, planes = self._model.stat.extent, self._model.vis.map
         near, far = planes.znear * extent, planes.zfar * extent
         # MuJoCo stores reversed depth: 1 at the near plane, 0 at the far plane.
-        return (near * far / (buffer.astype(np.float64) * (far - near) + near)).astype(np.float32)
+        return (near * far / (buffer * np.float32(far - near) + near)).astype(np.float32)
 
-    def _light(self, view: View) -> None:
+    def _light(self, view: View) -> tuple[F64, F64]:
+        """Set the lights; returns the directions (3,) of the lamp that casts shadows and of the other one."""
         made = self._made
-        head = made.lights[0]
-        self._mjr.shadowClip = view.radius_m
-        made.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = view.radius_m > 0
         turn_deg = view.azimuth_deg + SHOULDER_DEG - KEY_AZIMUTH_DEG if view.light_turns else 0.0
-        lamps = [turned(direction, turn_deg) for direction in key_directions(self._lamps)]
-        made.nlight = 2 + len(lamps)
-        for lamp, direction, diffuse, shadow in (
-            (head, (0.0, 0.0, -1.0), HEADLIGHT, False),
-            *((made.lights[1 + k], d, KEY / len(lamps), True) for k, d in enumerate(lamps)),
-            (made.lights[1 + len(lamps)], turned(np.array(FILL_DIRECTION), turn_deg), FILL, False),
-        ):
+        key, fill = (turned(np.array(way) / np.linalg.norm(way), turn_deg) for way in (KEY_DIRECTION, FILL_DIRECTION))
+        made.nlight = 3
+        for lamp, direction, diffuse in zip(made.lights, (None, key, fill), (HEADLIGHT, KEY, FILL), strict=False):
             lamp.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-            if lamp is not head:
-                lamp.dir = np.asarray(direction) / np.linalg.norm(direction)
-                lamp.pos = view.look_at - LAMP_DISTANCE_M * lamp.dir
-            lamp.headlight, lamp.castshadow, lamp.texid = int(lamp is head), int(shadow), -1
-            lamp.ambient[:] = AMBIENT if lamp is head else 0.0
+            if direction is not None:
+                lamp.dir = direction
+            lamp.headlight, lamp.castshadow, lamp.texid = int(direction is None), 0, -1
+            lamp.ambient[:] = AMBIENT if direction is None else 0.0
             lamp.diffuse[:] = diffuse
-            lamp.specular[:] = 0.25 * diffuse * (not lamp.headlight)
+            lamp.specular[:] = 0.0 if direction is None else 0.25 * diffuse
             lamp.attenuation[:] = (1, 0, 0)
-
-
-def key_directions(count: int) -> list[F64]:
-    """(3,) directions round KEY_DIRECTION, evenly on a small circle."""
-    middle = np.array(KEY_DIRECTION) / np.linalg.norm(KEY_DIRECTION)
-    across = np.cross(middle, [0.0, 0.0, 1.0])
-    across /= np.linalg.norm(across)
-    along = np.cross(middle, across)
-    turns = 2 * np.pi * np.arange(count) / count + 0.4
-    return [middle + KEY_SPREAD * (np.cos(t) * across + np.sin(t) * along) for t in turns]
+        return key, fill
 
 
 def turned(direction: F64, turn_deg: float) -> F64:

@@ -91,6 +91,7 @@ def draw_traces(figure: Figure, recordings: Sequence[Recording]) -> None:
             panel.set_xlim(0, max(time_s[-1] if len(time_s) else 0, 0.1))
             panel.set_ylim(bottom=0, top=max(1.1 * float(np.max(values, initial=0.0)), 1.0))
             panel.locator_params(axis="y", nbins=3)
+            panel.locator_params(axis="x", nbins=5, integer=True)
     for panel, title in zip(grid[0][1:], STREAMS, strict=True):
         panel.set_title(title)
     for panel in grid[-1][1:]:
@@ -133,26 +134,30 @@ BIN_MM, FEWEST = 0.5, 5
 
 
 def draw_indentation(figure: Figure, recordings: Sequence[Recording]) -> None:
-    by_region: dict[str, list[tuple[Any, Any]]] = {}
+    """A colour for each policy, one trial over the other, and the median of all of them in black."""
+    by_region: dict[str, list[tuple[str, Any, Any]]] = {}
     for recording in recordings:
         spec = recording.header.spec
-        pressed = pairs(recording)
-        if len(pressed[0]):
-            by_region.setdefault(spec.protocol.task(spec.task_id).region, []).append(pressed)
+        depth, force = pairs(recording)
+        if len(depth):
+            by_region.setdefault(spec.protocol.task(spec.task_id).region, []).append((spec.policy, depth, force))
+    policies = list(dict.fromkeys(policy for curves in by_region.values() for policy, _, _ in curves))
+    colours = {policy: COLOURS[k % (len(COLOURS) - 1)] for k, policy in enumerate(policies)}
     figure.set_size_inches(7.2, 2.5)
     panels: Any = figure.subplots(1, max(len(by_region), 1), squeeze=False)[0]
     for index, (panel, (region, curves)) in enumerate(zip(panels, by_region.items(), strict=False)):
-        for depth, force in curves:
-            panel.plot(depth, force, ".", color="0.65", ms=1.2)
-        x, y = binned(np.concatenate([c[0] for c in curves]), np.concatenate([c[1] for c in curves]))
-        panel.plot(x, y, color=COLOURS[0], lw=1.6)
+        for policy, depth, force in curves:
+            panel.plot(depth, force, ".", color=colours[policy], ms=2.5, alpha=0.6, mew=0)
+        x, y = binned(np.concatenate([c[1] for c in curves]), np.concatenate([c[2] for c in curves]))
+        panel.plot(x, y, color="black", lw=1.3)
         letter(panel, index, f"{region.replace('_', ' ').capitalize()}, {counted(len(curves), 'trial')}")
         panel.set(xlabel="indentation [mm]", xlim=(0, None), ylim=(0, None))
     panels[0].set_ylabel("force on the segment [N]")
     from matplotlib.lines import Line2D
 
-    kinds = [Line2D([], [], ls="", marker=".", color="0.65"), Line2D([], [], color=COLOURS[0], lw=1.6)]
-    panels[0].legend(kinds, ["control period of a trial", f"median in steps of {BIN_MM:g} mm"], loc="upper left")
+    kinds = [*(Line2D([], [], ls="", marker=".", color=colours[p]) for p in policies), Line2D([], [], color="black")]
+    names = [*map(_short, policies), f"median of all, in steps of {BIN_MM:g} mm"]
+    figure.legend(kinds, names, loc="outside lower center", ncols=min(len(kinds), 6))
 
 
 def pairs(recording: Recording) -> tuple[Any, Any]:
@@ -234,25 +239,33 @@ PANELS = (
 def draw_outcomes(figure: Figure, methods: Sequence[Method], paths: Sequence[Sequence[Recording]]) -> None:
     """``paths``: for each method, the recordings whose tool paths are drawn; none where there are no recordings."""
     by_region = _by_region(paths)
-    figure.set_size_inches(7.2, 7.9 if by_region else 5.8)
-    thirds: Any = figure.subfigures(3 if by_region else 2, 1, height_ratios=(2, 1.25, 1.1) if by_region else (2, 1.1))
-    upper: Any = thirds[0].subplots(2, 4).flat
-    for index, (panel, what) in enumerate(zip(upper, PANELS, strict=False)):
+    every = [score for method in methods for score in method.scores]
+    done = {"", *(score.action for score in every)}
+    shown = [panel for panel in PANELS if panel.action in done]
+    rows, failed = -(-(len(shown) + 1) // 4), any(score.failure_mode for score in every)
+    heights = [1.9 * rows, *([2.4] if by_region else []), *([2.1] if failed else [])]
+    figure.set_size_inches(7.2, sum(heights))
+    parts: Any = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    upper: Any = parts[0].subplots(rows, 4, squeeze=False).flat
+    for index, (panel, what) in enumerate(zip(upper, shown, strict=False)):
         letter(panel, index, what.title)
         _dots(panel, methods, what)
-    last = len(PANELS)
+    last = len(shown)
     letter(upper[last], last, "Trials with valid\ncontact [%]")
     _valid(upper[last], methods)
+    for empty in upper[last + 1 :]:
+        empty.set_axis_off()
     if by_region:
-        for index, (panel, (region, shown)) in enumerate(
-            zip(thirds[1].subplots(1, len(by_region), squeeze=False)[0], by_region.items(), strict=True)
+        for index, (panel, (region, drawn)) in enumerate(
+            zip(parts[1].subplots(1, len(by_region), squeeze=False)[0], by_region.items(), strict=True)
         ):
             letter(panel, last + 1 + index, f"{region.replace('_', ' ').capitalize()}: tool path [mm]")
-            _paths(panel, methods, shown)
-        _name_methods(thirds[1], methods, sorted({place for shown in by_region.values() for place, _ in shown}))
-    failures = thirds[-1].subplots()
-    letter(failures, last + 1 + len(by_region), "Why trials failed")
-    _failures(failures, methods)
+            _paths(panel, methods, drawn)
+        _name_methods(parts[1], methods, sorted({place for drawn in by_region.values() for place, _ in drawn}))
+    if failed:
+        failures = parts[-1].subplots()
+        letter(failures, last + 1 + len(by_region), "Why trials failed")
+        _failures(failures, methods)
 
 
 def _dots(panel: Any, methods: Sequence[Method], what: Panel) -> None:
@@ -296,6 +309,8 @@ def _method_ticks(panel: Any, methods: Sequence[Method]) -> None:
 
 
 def _short(title: str) -> str:
+    """Return the title, of module:Class the class, cut after 13 letters."""
+    title = title if len(title) <= 14 else title.rpartition(":")[2]
     return title if len(title) <= 14 else f"{title[:13]}…"
 
 
@@ -332,6 +347,7 @@ def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Rec
         panel.text(0.02, 0.98, "not near: " + "; ".join(far), va="top", transform=panel.transAxes, fontsize=5.5)
     panel.set(xlabel="along the region", ylabel="across it")
     panel.set_aspect("equal", adjustable="datalim")
+    panel.locator_params(axis="x", prune="both")  # a number at the end would stand half outside the figure
     panel.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=len(tasks) + 1, fontsize=6.5, handlelength=1.6,
         columnspacing=1, borderaxespad=0,
@@ -371,13 +387,7 @@ def _over_region(recording: Recording) -> tuple[Any, Any]:
 
 def _failures(panel: Any, methods: Sequence[Method]) -> None:
     counts = [Counter(s.failure_mode for s in m.scores if s.failure_mode) for m in methods]
-    most = max((sum(count.values()) for count in counts), default=0)
-    if not most:
-        panel.set_axis_off()
-        panel.text(
-            0.5, 0.5, "every trial was region-correct", ha="center", va="center", transform=panel.transAxes, color=GREY
-        )
-        return
+    most = max(sum(count.values()) for count in counts)
     for mode, colour in zip(MODES, MODE_COLOURS, strict=True):
         for place, count in enumerate(counts):
             if count[mode]:

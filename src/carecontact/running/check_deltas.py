@@ -271,7 +271,7 @@ class Questions:
         far = f"{response.step:g} rad" if turned else f"{1000 * response.step:g} mm"
         moved = f"{'turned' if turned else 'moved'} in the observation"
         if not response.columns.any():
-            text = f"the {name} is the same wherever the tool is {moved}: nothing can be learned of its axes"
+            text = f"the {name} hardly changes wherever the tool is {moved}: nothing can be learned of its axes"
             return CheckFinding("hint", "axes", text)
         still = [axis for axis, limited in zip(AXES, response.limited, strict=True) if limited]
         unseen = f"; {' and '.join(still)} of the answer never changes, so that nothing is seen of it" if still else ""
@@ -307,17 +307,24 @@ class Questions:
                 return
             cosines[combined(name, orientation)] = cosine
         sent, best = cosines[orientation], max(cosines, key=lambda name: cosines[name])
+        alike = [name for name, cosine in cosines.items() if cosine > max(TOWARD, cosines[best] - ALIKE)]
+        others = " or ".join(name for name in alike if name != orientation)
         if max(cosines.values()) - min(cosines.values()) < ALIKE:
             text = "the answer leads the same way however the pictures are turned: nothing is seen of their orientation"
             yield CheckFinding("hint", "orientation", text)
-        elif sent > max(TOWARD, cosines[best] - ALIKE):
+        elif alike == [orientation]:
             yield CheckFinding("ok", "orientation", f"the answer leads to the named region (cosine {sent:.2f})")
-        elif cosines[best] > TOWARD:
-            alike = [name for name, cosine in cosines.items() if cosine > max(TOWARD, cosines[best] - ALIKE)]
+        elif orientation in alike:
+            text = (
+                f"the answer leads to the named region (cosine {sent:.2f}), but also with pictures {others}: which of "
+                "them the policy expects cannot be seen here; compare the sheet with a picture of its training data"
+            )
+            yield CheckFinding("hint", "orientation", text)
+        elif alike:
             text = (
                 f"the answer does not lead to the named region as directly (cosine {sent:.2f}) as with pictures "
-                f"{' or '.join(alike)} ({cosines[best]:.2f}); they are sent {orientation}. If the policy knows them "
-                f"so, add orientation={best} to the address"
+                f"{others} ({cosines[best]:.2f}); they are sent {orientation}. If the policy was trained on such "
+                f"pictures, add {' or '.join(f'orientation={name}' for name in alike)} to the address"
             )
             if not sure:
                 text += "; the same is seen if an axis of the translation has the opposite sign"

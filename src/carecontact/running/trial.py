@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.episode.episode import Episode
+from carecontact.episode.episode import Episode, Teaching
 from carecontact.episode.randomization import World
 from carecontact.errors import ActionError, ExhaustedError, PolicyError, UnreachableError
 from carecontact.interface.action import Action
 from carecontact.interface.observation import Observation
+from carecontact.interface.policy import LOOK_CONTROLS
 from carecontact.policies.registry import is_privileged
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.schema import Recording
@@ -72,11 +73,13 @@ def run_trial(
     check_setup(spec, setup)
     report = on_policy if on_policy is not None and setup.ref.kind != "remote" else lambda running: None
     with Episode(spec, prepare=prepare, weights=weights) as episode:
+        variant = setup.ref.variant
+        episode.privileged, episode.control = variant == "dagger", variant if variant in LOOK_CONTROLS else ""
         if is_privileged(setup.ref):
             # Here, because a trial of another policy needs nothing of it.
             from carecontact.oracle.policy import drive
 
-            drive(episode, setup.ref)
+            drive(episode, setup.ref, lambda: _teaching(episode, setup))
             return episode.finish()
         report(True)
         try:
@@ -107,7 +110,7 @@ def _converse(
             try:
                 episode.card = policy.start()
                 policy.reset(episode.instruction, episode.session)
-                _act(episode, policy, pace, on_look)
+                _act(episode, policy, pace, on_look, lambda: _teaching(episode, setup))
             finally:
                 # What it printed may hold times and paths, so it is evidence but no part of the recording's hash.
                 policy.close()
@@ -121,8 +124,25 @@ def _converse(
         episode.fail(error)
 
 
-def _act(episode: Episode, policy: PolicyConversation, pace: Pace, on_look: Callable[[Look], None] | None) -> None:
+def _teaching(episode: Episode, setup: PolicySetup) -> Teaching:
+    """Return what turns the policy's actions into demonstrations, in an episode that has begun."""
+    if setup.ref.variant in ("", *LOOK_CONTROLS):
+        return lambda action: (action, None)
+    # Here, because a trial of another policy needs nothing of it.
+    from carecontact.oracle.teaching import teaching_of
+
+    return teaching_of(setup.ref.variant, episode)
+
+
+def _act(
+    episode: Episode,
+    policy: PolicyConversation,
+    pace: Pace,
+    on_look: Callable[[Look], None] | None,
+    prepared: Callable[[], Teaching],
+) -> None:
     observation: Observation | None = episode.reset()
+    teach = prepared()
     while observation is not None:
         pace.hold(partial(act_message, observation))
         reply = policy.act(observation)
@@ -133,7 +153,9 @@ def _act(episode: Episode, policy: PolicyConversation, pace: Pace, on_look: Call
         observation = None
         for number, action in enumerate(reply.actions):
             try:
-                step = episode.step(action, observe=number + 1 == len(reply.actions))
+                executed, demonstrated = teach(action)
+                more = {"observe": number + 1 == len(reply.actions), "demonstrated": demonstrated}
+                step = episode.step(executed, **more)
             except ActionError as error:
                 policy.refuse(number, error)
             if step.reason is not None:

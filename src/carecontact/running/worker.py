@@ -108,6 +108,7 @@ def _run() -> int:
             on_wait=lambda line: note(WAITING, line),
         )
         origin: Origin = "served" if request.policy.ref.kind == "remote" else "isolated"
+        origin = "training" if request.spec.trains else origin
         recording = replace(recording, header=recording.header.model_copy(update={"origin": origin}))
         try:
             write_recording(recording, request.out)

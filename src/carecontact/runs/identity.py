@@ -161,7 +161,7 @@ def _sha256(path: Traversable) -> str:
 
 def policy_package(ref: PolicyRef) -> dict[str, str]:
     """Name and version of the installed package whose entry point supplied the policy; empty for any other policy."""
-    package = POLICIES.package(ref.text) if ref.kind == "registered" else None
+    package = POLICIES.package(ref.name) if ref.kind == "registered" else None
     return {} if package is None else {package: metadata.version(package)}
 
 
@@ -170,7 +170,7 @@ def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
 
     None for a policy of this package, one on another host, and where there is no such file.
     """
-    if ref.kind == "remote" or (ref.kind == "registered" and POLICIES.package(ref.text) is None):
+    if ref.kind == "remote" or (ref.kind == "registered" and POLICIES.package(ref.name) is None):
         return None
     importlib.invalidate_caches()
     places: Sequence[str] | None = [place for place in (*search_path, *sys.path) if place]

@@ -120,7 +120,9 @@ class Survey:
 def runs_beside(out: Path) -> list[str]:
     """Return this run's folder and those of other runs in the same place: none of them is the policy's business."""
     here = out.resolve()
-    return sorted({str(here), *(str(manifest.parent) for manifest in here.parent.glob(f"*/{MANIFEST}"))})
+    # A control lies inside the run of the policy without it.
+    run = here.parent if (here.parent / MANIFEST).is_file() else here
+    return sorted({str(here), str(run), *(str(manifest.parent) for manifest in run.parent.glob(f"*/{MANIFEST}"))})
 
 
 def survey(

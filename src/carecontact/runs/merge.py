@@ -121,8 +121,8 @@ def _recordings(folders: dict[Path, Manifest]) -> dict[str, Path]:
                 continue
             header = read_header(path)
             held = header.spec.trial_id
-            if header.origin not in RANKED:
-                raise not_ranked(str(path))
+            if header.origin not in RANKED or header.spec.trains:
+                raise not_ranked(str(path), header.origin)
             if held != trial:
                 raise ConfigError(f"{path} holds trial {held}; remove it and run that part again")
             if trial in found and stored_sha256(found[trial]) != stored_sha256(path):

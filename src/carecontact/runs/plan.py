@@ -112,6 +112,24 @@ def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several:
     return [spec.model_copy(update={"noise_salt": salt}) for spec in specs]
 
 
+def check_not_trained_on(trained_on: Sequence[str], specs: Sequence[TrialSpec]) -> None:
+    """Raises ConfigError where a policy was trained, as its card says (``trained_on``), on a person of these trials.
+    Persons to train on are no exam, and pass."""
+    for entry in trained_on:
+        name, colon, seeds = entry.partition(":")
+        for spec in specs:
+            same = spec.commitment == entry
+            if colon and not spec.commitment:
+                ranges = [part.partition("-") for part in seeds.split(",")]
+                within = any(int(low) <= spec.seed <= int(high or low) for low, _, high in ranges)
+                same = within and name in (spec.protocol.id, spec.protocol.drawn_as)
+            if same and not spec.trains:
+                raise ConfigError(
+                    f"{spec.policy} was trained on {entry}, as its card says, and {spec.trial_id} is a trial of such a "
+                    "person: what it passes there shows nothing; choose other --seeds or another --salt-file"
+                )
+
+
 def compact(numbers: Iterable[int]) -> str:
     """``[0, 1, 2, 5]`` -> ``0-2, 5``."""
     runs: list[list[int]] = []

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from carecontact.errors import ConfigError, counted
+from carecontact.protocol.protocol import TRAINING_SHA256
 from carecontact.recording.schema import RANKED
 from carecontact.scoring.result import DRAWN, TrialScore
 
@@ -119,12 +120,23 @@ def check_one_run(scores: Sequence[TrialScore]) -> None:
 
 
 def in_process(score: TrialScore) -> bool:
-    """Whether the trial was not run by a trial's worker (``recording.schema.Origin``)."""
-    return score.provenance.get("origin", "isolated") not in RANKED
+    """Whether the trial was not run by a trial's worker (``recording.schema.Origin``), or on a person to train on,
+    whatever origin its recording claims."""
+    return score.provenance.get("origin", "isolated") not in RANKED or score.world.get("salt") == TRAINING_SHA256
 
 
-def not_ranked(trial: str) -> ConfigError:
-    """Return the error for a recording that stands beside no run. ``trial``: it, as the message names it."""
+def not_ranked(trial: str, origin: str) -> ConfigError:
+    """Return the error for a recording that stands beside no run.
+
+    Args:
+        trial: the recording, as the message names it.
+        origin: what it says of itself (``recording.schema.Origin``).
+    """
+    if origin != "in-process":
+        return ConfigError(
+            f"{trial} is a demonstration, of a person on whom policies are trained. It can be scored, exported and "
+            "looked at, but not compared, ranked or merged; run the policy on the protocol's seeds"
+        )
     return ConfigError(
         f"{trial} was recorded in-process: an Episode in somebody's own program made it, in which the policy could "
         "reach the simulation. It can be scored and looked at, but not compared, ranked or merged; run the policy with "
@@ -133,9 +145,12 @@ def not_ranked(trial: str) -> ConfigError:
 
 
 def check_ranked(scores: Iterable[TrialScore], place: str = "") -> None:
-    """Raises ConfigError for a trial that was recorded in-process. ``place``: begins the message, such as a run."""
+    """Raises ConfigError for a trial that was recorded in-process, and for a demonstration.
+
+    ``place``: begins the message, such as a run.
+    """
     if (found := next((score for score in scores if in_process(score)), None)) is not None:
-        raise not_ranked(f"{place}{found.trial_id}.h5")
+        raise not_ranked(f"{place}{found.trial_id}.h5", found.provenance.get("origin", "isolated"))
 
 
 def world_part(score: TrialScore, what: str) -> str:

@@ -206,7 +206,7 @@ def decode_card(plain: object) -> PolicyCard:
         whole = {"arguments": {}, "camera_hz": {}, **plain} if is_map(plain) else plain
         entries = _Value(whole, "card", ContractError).fields(PolicyCard)
         texts = ("name", "action_space", "delta", "control", "language_backend", "out_of_bounds")
-        names = ("modalities", "cameras", "environment")
+        names = ("modalities", "cameras", "trained_on", "environment")
         arguments = entries["arguments"].value
         if not is_map(arguments) or not all(isinstance(text, str) for text in arguments.values()):
             entries["arguments"].refuse("a map of names to texts")

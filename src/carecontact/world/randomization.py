@@ -132,6 +132,7 @@ def spot_of(protocol: Protocol, task_id: str, seed: int, salt: str) -> Spot | No
         along=along,
         around_rad=radians(around * foam.around_deg),
         half_m=foam.oval_m if cleaned else (foam.disc_m, foam.disc_m),
+        room_m=foam.room_m,
         colour=FOAM_COLOURS[foam.colours[int(of_region.integers(len(foam.colours)))]],
         on_cells=cleaned,
     )

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import AssetError, SceneError
-from carecontact.interface.robot import Baked, JointImpedance, Mjcf, Robot
+from carecontact.interface.robot import Baked, JointImpedance, Mjcf, Robot, Tip
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Impedance
 
@@ -33,6 +33,17 @@ JOINT_ARMATURE = 0.1
 STICKS = (0.99, 0.99, 0.001, 0.5, 2.0)
 """MuJoCo's impedance of dry friction (solimpfriction). A joint that sticks creeps with a hundredth of its friction over
 its inertia for every 10 ms; at the default of 0.9, with a tenth."""
+GIVING_SOLREF, GIVING_SOLIMP = (-15_000.0, -20.0), (0.2, 0.2, 0.001, 0.5, 2.0)
+"""MuJoCo's parameters of the contact between a tip that gives way and rigid surfaces. With a plate of the person
+(``human.hulls``), 0.1 to 0.2 kg, the contact is a spring of 3 to 8 N/mm. Pile and foam of the mitt, as independent
+springs under an ellipsoid on a plane, have 2.5 N/mm at 4 N and 6 N/mm at 25 N. MuJoCo scales a contact with the
+colliding mass: on bone without a plate it is stiffer.
+
+MuJoCo's friction drives sliding bodies apart, as if friction coefficient times damping times sliding speed acted along
+the normal. A contact that is stiff, well damped and hence hardly indented is lost in single steps, and rattles. Here,
+100 mm/s amount to less than 0.5 N on a plate."""
+GIVING_FRICTION = (0.5, 0.005, 0.0001)
+"""That of the person's hulls."""
 COLOURS = {
     "white": (0.93, 0.94, 0.95, 1.0),
     "grey": (0.80, 0.82, 0.84, 1.0),
@@ -148,14 +159,20 @@ def _attach(spec: mujoco.MjSpec, robot: Robot, source: Mjcf, place: dict[str, An
             geom.contype, geom.conaffinity, geom.group = 1, 0, COLLISION_GROUP if hidden else VISUAL_GROUP
         else:
             geom.group = VISUAL_GROUP
-    _make_giving(spec, spec.geom(robot.tip.geom), robot)
+    make_giving(spec, spec.geom(robot.tip.geom), robot.tip)
     return base
 
 
-def _make_giving(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, robot: Robot) -> None:
-    """Write how far the tip's surface gives way into its first user number, where the compiled tissue reads it."""
-    if robot.tip.give_m3_n:
-        spec.nuser_geom, geom.userdata = 1, [robot.tip.give_m3_n]
+def make_giving(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, tip: Tip) -> None:
+    """Let a tip's surface give way if the robot's does: to skin through the geom's first user number, where the
+    compiled tissue reads it, and to everything rigid through the geom's own contact.
+    """
+    if tip.give_m3_n:
+        spec.nuser_geom, geom.userdata = max(spec.nuser_geom, 1), [tip.give_m3_n]
+        geom.solref, geom.solimp, geom.friction = GIVING_SOLREF, GIVING_SOLIMP, GIVING_FRICTION
+        # The priority of the person's hulls. Among equals, the smaller solref and the larger friction count, and the
+        # weight solmix decides about solimp.
+        geom.priority, geom.solmix = 1, 1e6
 
 
 def _add_meshes(spec: mujoco.MjSpec, asset: dict[str, npt.NDArray[np.generic]]) -> list[str]:
@@ -228,7 +245,7 @@ def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robo
         rgba=MITT_COLOUR if tip.give_m3_n else CAP_COLOUR,
         **COLLIDING,
     )
-    _make_giving(spec, touching, robot)
+    make_giving(spec, touching, tip)
     hand.add_site(name=robot.tcp_site, pos=[0, 0, robot.tcp_z_m], size=[0.003, 0.003, 0.003], group=4)
 
 

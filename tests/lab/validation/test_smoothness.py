@@ -5,10 +5,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carecontact.lab.validation import smoothness
+from carecontact.lab.validation import knocks, smoothness
 from carecontact.lab.validation.passive_response import lock_arm
 from carecontact.lab.validation.result import CheckResult
-from carecontact.lab.validation.smoothness import HALF_WAY_M, Ends, Scrub, dropouts, room, scrub, sliding_friction
+from carecontact.lab.validation.smoothness import (
+    HALF_WAY_M,
+    Ends,
+    Scrub,
+    dropouts,
+    glides,
+    room,
+    scrub,
+    sliding_friction,
+)
 from carecontact.lab.validation.subject import HOVER_M, Subject, surface_point
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
@@ -48,6 +57,17 @@ def test_a_lasting_step_is_no_dropout() -> None:
     force[100:] *= 0.3
     assert dropouts(time, force).sum() <= 1
     assert not dropouts(time, np.minimum(force, 100.0))[102:].any()
+
+
+@pytest.mark.slow
+def test_a_mitt_glides_over_plates_only_where_its_surface_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    mitt = Subject(overridden(load_protocol(), {"scene.tool": "mitt"}))
+    noises = [measure.value for measure in glides(mitt, quick=True)]
+    monkeypatch.setattr(knocks, "make_giving", lambda *_: None)
+    hard = [measure.value for measure in glides(mitt, quick=True)]
+    assert len(noises) == len(hard) == 2
+    assert max(noises) < 0.02
+    assert min(hard) > 0.15
 
 
 def test_skin_more_slippery_than_declared_is_found(subject: Subject) -> None:

@@ -34,6 +34,7 @@ from carecontact.lab.validation.subject import (
 )
 from carecontact.protocol.protocol import Protocol
 from carecontact.sim.simulation import Simulation, lengths
+from carecontact.world.robot import make_giving
 from carecontact.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -350,13 +351,13 @@ def strike_all(subject: Subject, masses: tuple[float, ...], speeds: tuple[float,
     for mass, ball in product(masses, sorted({site.ball_m for site in struck})):
         simulation = Simulation(with_striker(scene, mass, ball))
         if state is None:
-            state = _settled(simulation)
+            state = settled(simulation)
         for site, speed in product([site for site in struck if site.ball_m == ball], speeds):
             simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
             yield strike(simulation, site, mass, speed)
 
 
-def _settled(simulation: Simulation) -> Array:
+def settled(simulation: Simulation) -> Array:
     simulation.settle(COMFORT_ARM_DEG)
     return simulation.integration_state()
 
@@ -373,7 +374,7 @@ def scan(subject: Subject) -> Iterator[Measure]:
         ("abdomen", robots, BELLY_ASIDE_M),
     ):
         simulation = Simulation(with_striker(scene, mass, rows[name].ball_m))
-        state = _settled(simulation)
+        state = settled(simulation)
         for headward, right in places:
             simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
             where = f"beside the middle: {name}, {1000 * headward:.0f} mm headward, {1000 * right:.0f} mm to the right"
@@ -395,7 +396,7 @@ def strike_with_tool(subject: Subject) -> Blow:
     name = f"abdomen under the robot's tool ({protocol.scene.tool})"
     belly = Site(name=name, region="abdomen", ball_m=tip.half_m[2], depth_m=none, force_n=none)
     simulation = Simulation(with_striker(subject.scene("forearm"), mass, tip))
-    simulation.restore(_settled(simulation), comfort_arm_deg=COMFORT_ARM_DEG)
+    simulation.restore(settled(simulation), comfort_arm_deg=COMFORT_ARM_DEG)
     return strike(simulation, belly, mass, protocol.physics.max_tcp_speed_m_s)
 
 
@@ -411,8 +412,7 @@ def with_striker(scene: Scene, mass_kg: float, shape: float | Tip) -> Scene:
         made.add_joint(name=f"{STRIKER}_{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
     if isinstance(shape, Tip):
         geom = made.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=shape.half_m)
-        if shape.give_m3_n:
-            spec.nuser_geom, geom.userdata = max(spec.nuser_geom, 1), [shape.give_m3_n]
+        make_giving(spec, geom, shape)
     else:
         geom = made.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[shape, 0, 0])
     geom.mass, geom.contype, geom.conaffinity = mass_kg, 1, 0
@@ -425,7 +425,7 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
     Raises SceneError if the ball is still in contact then with any other site or has touched nothing, or if MuJoCo
     warned."""
     towards = np.array(site.towards)
-    _aim(simulation, site, speed_m_s * towards)
+    aim(simulation, site, speed_m_s * towards)
     step_s, momentum, energy = simulation.model.opt.timestep, mass_kg * speed_m_s, mass_kg * speed_m_s**2 / 2
     peak, stray, impulse, silent_s, touched, held = 0.0, 0.0, 0.0, 0.0, False, None
     start_m, depth, taken = _along(simulation, "qpos", towards) + GAP_M, 0.0, None
@@ -482,7 +482,7 @@ def _stray_n(simulation: Simulation, site: Site) -> float:
     return total
 
 
-def _aim(simulation: Simulation, site: Site, velocity: Array) -> None:
+def aim(simulation: Simulation, site: Site, velocity: Array) -> None:
     """Put the ball GAP_M before the site, on a line through its middle, and let it fly."""
     model, data, towards = simulation.model, simulation.data, np.array(site.towards)
     base = data.body(simulation.robot.base_body)

@@ -1,5 +1,5 @@
 """Tests that a tool that scrubs a region glides: its force neither rattles nor drops out for single steps, at speed,
-where the tool turns round, and where it goes slowly.
+where the tool turns round, where it goes slowly, and where it glides over the plates beside the soft regions.
 
 The arm is held, as a patient may hold it: a loose arm would move with a firm tool, and nothing would slide. Sliding
 skin and tool have the friction that the protocol declares. Skin that sticks to the tool has less: soft tissue shears by
@@ -8,18 +8,32 @@ about a millimetre before it slips.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from carecontact.human.hulls import REACHED_FROM_THE_SIDE
+from carecontact.human.shell import belly_half_width
 from carecontact.interface.regions import REGIONS
+from carecontact.lab.validation import knocks
 from carecontact.lab.validation.passive_response import lock_arm
 from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
-from carecontact.lab.validation.subject import DOWN, Subject, axes, force_norm, in_base, skin_points, surface_point
+from carecontact.lab.validation.subject import (
+    COMFORT_ARM_DEG,
+    DOWN,
+    Subject,
+    axes,
+    force_norm,
+    in_base,
+    refuse_warnings,
+    skin_points,
+    surface_point,
+)
 from carecontact.recording.schema import SEGMENTS
 from carecontact.scoring.contact import low_pass
 from carecontact.sim.simulation import Samples, Simulation
@@ -51,6 +65,13 @@ real."""
 NOISE_ABOVE_HZ, NOISE_LIMIT_N = 20.0, 0.15
 SAMPLE_HZ, DROP_SHARE, DROP_N = 500.0, 0.3, 0.3
 SERVO_S, SERVO_RAD_S = 2.0, 6.0
+GLIDE_N, GLIDE_M_S = (4.0, 8.0), (0.010, 0.060)
+"""Forces and speeds of the tool that glides over plates beside the soft regions."""
+GLIDE_M, BEFORE_RIM_M, LAND_S = 0.050, 0.040, 0.5
+"""How far it glides, from where before the border of the abdomen, and how long it stands first."""
+GLIDE_KG, LINE_N_M, BRAKE_NS_M = 4.4, 1000.0, 30.0
+"""Mass of the gliding tool, the spring that holds it to its line, and its damper along the force: about those of the
+robot's tool."""
 FRICTION_LIMIT_PERCENT, SLIDING_LIMIT_PERCENT = 2.0, 50.0
 
 
@@ -102,12 +123,15 @@ class Scrub:
         return [self._noise(name, "", self.force_n, always), self._noise(name, " along the skin", self.along_n, always)]
 
     def _noise(self, name: str, where: str, force_n: Array, counts: npt.NDArray[np.bool_]) -> Measure:
-        """Measure the noise of a force (n,) or (n, 2), of a vector both components together."""
-        sample_hz = 1 / (self.time_s[1] - self.time_s[0])
-        parts = force_n.reshape(len(force_n), -1).T
-        high = [x - low_pass(x, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=sample_hz, zero_phase=True) for x in parts]
-        rms = np.sqrt(sum(x[counts].var() for x in high)) if counts.any() else np.nan
-        return measured(f"{name}: force noise{where} above 20 Hz, rms", rms, "N", at_most=NOISE_LIMIT_N)
+        return noise(f"{name}: force noise{where}", force_n, counts, step_s=self.time_s[1] - self.time_s[0])
+
+
+def noise(name: str, force_n: Array, counts: npt.NDArray[np.bool_], *, step_s: float, decides: bool = True) -> Measure:
+    """Measure the noise of a force (n,) or (n, 2), of a vector both components together."""
+    parts = force_n.reshape(len(force_n), -1).T
+    high = [x - low_pass(x, cutoff_hz=NOISE_ABOVE_HZ, sample_hz=1 / step_s, zero_phase=True) for x in parts]
+    rms = np.sqrt(sum(x[counts].var() for x in high)) if counts.any() else np.nan
+    return measured(f"{name} above 20 Hz, rms", rms, "N", at_most=NOISE_LIMIT_N, decides=decides)
 
 
 def run(subject: Subject, *, quick: bool) -> CheckResult:
@@ -128,7 +152,56 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
         for speed in () if quick else SLOW_M_S:
             done = scrub(held_arm(region), SLOW_N, strokes=SLOW_STROKES, region=region, speed_m_s=speed)
             measures += done.slow_measures(f"{region} stroked at {1000 * speed:.0f} mm/s with {SLOW_N:.0f} N")
+    measures += glides(subject, quick=quick)
     return CheckResult(check="smoothness", title=TITLE, measures=tuple(measures), curves=curves)
+
+
+def glides(subject: Subject, *, quick: bool) -> Iterator[Measure]:
+    """Yield how much the force rattles while the tool, free but held to a line and pushed down by a constant force,
+    glides headward over plates, and outward from the abdomen's skin onto the flank's plate.
+
+    It decides for a tool whose surface gives way. A rigid one loses contact in single steps (``world.robot``).
+    """
+    scene, tip = subject.scene("forearm"), subject.protocol.scene.robot.tip
+    simulation = Simulation(knocks.with_striker(scene, GLIDE_KG, tip))
+    state, headward, none = knocks.settled(simulation), (1.0, 0.0, 0.0), np.zeros(1)
+    place = knocks.Site(name="", ball_m=tip.half_m[2], depth_m=none, force_n=none)
+    ways = [
+        (replace(place, name=f"over the {part}'s plate", plate=f"{REACHED_FROM_THE_SIDE}_{part}"), headward)
+        for part in ("flank", "thigh")
+    ]
+    rim = (0.0, belly_half_width(scene.body) - BEFORE_RIM_M)
+    onto = replace(place, name="from the abdomen onto the flank's plate", region="abdomen", beside_m=rim)
+    for site, along in [*ways[: 1 if quick else None], (onto, (0.0, 1.0, 0.0))]:
+        for newton, speed in product(GLIDE_N[: 1 if quick else None], GLIDE_M_S[-1:] if quick else GLIDE_M_S):
+            simulation.restore(state, comfort_arm_deg=COMFORT_ARM_DEG)
+            force = glide(simulation, site, newton, speed * np.array(along))
+            name = f"glide {site.name}, {newton:.0f} N, {1000 * speed:.0f} mm/s: force noise"
+            always, dt = np.ones(len(force), bool), simulation.model.opt.timestep
+            yield noise(name, force, always, step_s=dt, decides=tip.give_m3_n > 0)
+
+
+def glide(simulation: Simulation, site: knocks.Site, newton: float, velocity: Array) -> Array:
+    """Return the magnitude (n,) of the force on the person [N], from when the tool begins to move on."""
+    model, data = simulation.model, simulation.data
+    knocks.aim(simulation, site, np.zeros(3))
+    dt, towards = model.opt.timestep, np.array(site.towards)
+    into_world = data.body(simulation.robot.base_body).xmat.reshape(3, 3).copy()
+    joint = model.joint(f"{knocks.STRIKER}_x")
+    at, dof = (slice(first, first + 3) for first in (int(joint.qposadr[0]), int(joint.dofadr[0])))
+    aside = np.eye(3) - np.outer(towards, towards)
+    line, damper = into_world @ data.qpos[at], 2 * np.sqrt(LINE_N_M * GLIDE_KG)
+    force = []
+    stood = round(LAND_S / dt)
+    for step in range(stood + round(GLIDE_M / float(np.linalg.norm(velocity)) / dt)):
+        moves = step >= stood
+        line = line + moves * dt * velocity
+        off, drift = line - into_world @ data.qpos[at], moves * velocity - into_world @ data.qvel[dof]
+        push = aside @ (LINE_N_M * off + damper * drift) + (newton + BRAKE_NS_M * (drift @ towards)) * towards
+        data.qfrc_applied[dof] = into_world.T @ push
+        force.append(simulation.advance(1)[0].force[0].sum(0))
+    refuse_warnings(simulation, f"while the tool glided {site.name}")
+    return np.linalg.norm(force[stood:], axis=1)
 
 
 def dropouts(time_s: Array, force_n: Array) -> npt.NDArray[np.bool_]:

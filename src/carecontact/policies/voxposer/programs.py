@@ -37,12 +37,12 @@ _TEXTS = tomllib.loads((resources.files(__package__ or __name__) / "prompts.toml
 _SETTING = _TEXTS["setting"].replace("{names}", ", ".join(NAMES))
 _PARTS = _SETTING + _TEXTS["parts"]
 VOXPOSER = PromptSet(
-    version="voxposer-v2",
+    version="voxposer-v3",
     roles={role: _SETTING + _TEXTS[role] for role in ("planner", "composer", "parse_query_obj")}
     | {f"get_{kind}_map": _PARTS + _TEXTS["write"] + _TEXTS[f"get_{kind}_map"] for kind in KINDS},
 )
 VOXPOSER_PHASED = PromptSet(
-    version="voxposer-phased-v2",
+    version="voxposer-phased-v3",
     roles={
         **VOXPOSER.roles,
         "planner": VOXPOSER.roles["planner"] + _TEXTS["planner_phased"],

@@ -22,6 +22,7 @@ from carecontact.interface.body_view import (
 from carecontact.interface.geometry import matrix_from_quat, pixels
 from carecontact.interface.observation import Observation
 from carecontact.interface.regions import REGIONS, STANDARD_REGIONS
+from carecontact.policies.foam import find_foam
 from carecontact.policies.motion import CAP_RADIUS_M, tool_quat
 from carecontact.policies.voxposer import maps as fixed
 from carecontact.policies.voxposer.maps import KINDS, VALUE_RANGE, Grid, MapKind, ValueMap, Voxel
@@ -101,7 +102,9 @@ PARTS = {
 """Name in a program -> region and side. The standard regions alone: the names are part of the prompt, by which recorded
 completions are found."""
 JOINTS = tuple(f"{side} {joint}" for side in ("right", "left") for joint in ("wrist", "elbow", "shoulder", "hip"))
-NAMES = (GRIPPER, *PARTS, *JOINTS)
+FOAM = {f"foam on the {part}": part for part in PARTS}
+"""Name of foam -> the part on which it is looked for."""
+NAMES = (GRIPPER, *PARTS, *JOINTS, *FOAM)
 """Every name that ``Scene.find`` takes."""
 
 
@@ -168,8 +171,11 @@ class Scene:
     def _seen(self, name: str) -> Part:
         if name in JOINTS:
             return self._joint(name)
-        region, side = PARTS[name]
+        region, side = PARTS[FOAM.get(name, name)]
         found = region_from_observation(self._observation, region, side=side, camera=self._camera)
+        if name in FOAM:
+            foam = find_foam(self.view, found)
+            return Part(name=name, position_m=foam.centre_m, points_m=foam.skin_m, normal=found.normal)
         offset = person_points(self.view) - found.centre_m
         inside = np.abs(offset @ found.axis) <= found.half_length_m
         inside &= np.abs(offset @ found.lateral) <= found.radius_m

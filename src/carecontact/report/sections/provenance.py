@@ -158,6 +158,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
     ]
     arguments = [" ".join(f"{name}={text}" for name, text in card.get("arguments", {}).items()) for card in cards]
     variables = [" ".join(card.get("environment", ())) for card in cards]
+    trained = [", ".join(card.get("trained_on", ())) for card in cards]
     salts = [s.world.get("salt", "none") for s in scores]
     regions = sorted({(region, t.source) for p in protocols for region, t in p.person.tissue.items()})
     metrics = sorted({version for s in scores for version in s.metric_versions.values()})
@@ -172,6 +173,7 @@ def provenance_rows(scores: Sequence[TrialScore], headers: Sequence[Header]) -> 
         *_where_any("Salt sha256", salts if set(salts) - {"none"} else []),
         *_where_any("Policy arguments", [text or "none" for text in arguments] if any(arguments) else []),
         *_where_any("Policy variables", [text or "none" for text in variables] if any(variables) else []),
+        *_where_any("Trained on", [text or "not stated" for text in trained] if any(trained) else []),
         ("Language backend", _distinct(s.language_backend for s in scores)),
         *_where_any("Language endpoint", [s.language_endpoint for s in scores]),
         *_where_any("Language model served", [s.language_served for s in scores]),
