@@ -83,7 +83,7 @@ class Lerobot:
         return 1 if left_out else 0
 
     def _episodes(self, trials: Sequence[str]) -> Iterator[tuple[str, Episode | str]]:
-        """Yield the trials with their episode, or why there is none, in their order."""
+        """Yield each trial with its episode, or with the reason why it has none, in their order."""
         from carecontact.recording import read_recording
         from carecontact.recording.lerobot import episode_of
 

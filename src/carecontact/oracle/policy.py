@@ -41,7 +41,7 @@ GAIN_M_NS = 0.006
 """Rate of change of the depth [m/s] for each newton that the force is off. At 400 N/m on soft tissue, 1 N is about
 3.5 mm, so that the loop has a time constant of 0.6 s, twice the lag of the impedance behind its target."""
 EXCESS = 4.0
-"""Times as fast does the depth shrink under a force that is more than EXCESS_N too large."""
+"""The depth shrinks this many times faster while the force is more than EXCESS_N [N] too large."""
 EXCESS_N = 1.5
 MOVES_M_S = 0.03
 """Above this speed of the skin, the person changes posture, and the tool is lifted off; breathing is slower."""

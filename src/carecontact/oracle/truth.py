@@ -15,6 +15,7 @@ from carecontact.human.skeleton import body_name
 from carecontact.interface.body_view import RegionGeometry
 from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
 from carecontact.interface.regions import REGIONS, LimbSight
+from carecontact.policies.foam import MOST_LEAN_RAD
 from carecontact.policies.motion import CONTROL_HZ, UP, slerp, tool_quat
 from carecontact.sim.simulation import Simulation
 from carecontact.sim.state import skin_in_world
@@ -182,8 +183,6 @@ class Foamed:
                 yield tool_quat(-self.out(share), np.cos(yaw) * self.axes[:, 0] + np.sin(yaw) * self.axes[:, 1])
 
 
-MOST_LEAN_RAD = 0.6
-"""How far the hand leans at most to press against the skin's normal: the arm has room for that beside the bed."""
 FOAM_LEANS = (1.0, 0.6, 0.3, 0.0)
 FOAM_YAWS_DEG = (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90)
 

@@ -24,7 +24,8 @@ HUES_DEG = {"cyan": (196.0, 26.0), "lime": (129.0, 16.0), "magenta": (339.0, 20.
 """Colours that docs/tasks.md gives foam -> hue angle in CIELAB, and how far from it a lamp of 3000 to 8000 K and
 half to full strength shifts it, with a margin; yellow, red and blue lie 12 degrees or more beyond."""
 LEAST_SATURATION = 0.75
-"""Of HSV, which the strength of light does not change: skin has up to 0.5, a teal garment 0.6, foam 0.9."""
+"""Least saturation (HSV) of foam. The strength of the light does not change it: skin has up to 0.5, a teal garment 0.6,
+foam 0.9."""
 AROUND_M = 0.06
 """How far from a region's seen surface foam is still looked for: the region's ends are seen to about so much."""
 LEAST_PX = 12

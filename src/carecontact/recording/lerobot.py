@@ -40,7 +40,7 @@ class Clip:
     """The pictures of one camera as a film."""
 
     path: Path
-    """Of a file that a dataset may move away."""
+    """Place of the film, which a dataset may move into its own folder."""
     shape: tuple[int, int, int]
     """(height, width, 3)"""
     histogram: npt.NDArray[np.int64]

@@ -26,7 +26,7 @@ README = "README.md"
 INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 """Columns that every row has; the first is float32, the others are int64."""
 CODEC, PIXELS = "h264", "yuv420p"
-"""Of the films."""
+"""Codec and pixel format of the films."""
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 IMAGE = "observation.images."
 

@@ -42,7 +42,7 @@ class Submission:
     run: RunScores
     """The scores, computed from the recordings."""
     header: Header
-    """Of its first trial that has a card."""
+    """The header of the first trial that has a card."""
 
 
 def check_submission(folder: Path, *, jobs: int = 1) -> Submission:
