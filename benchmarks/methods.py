@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--without-trials", action="store_true")
     arguments = parser.parse_args()
-    protocol, tasks = load_protocol(), arguments.tasks.split(",")
+    protocol, tasks = load_protocol("bathing-v3"), arguments.tasks.split(",")
     out: dict[str, object] = {
         "cores": os.cpu_count(),
         "load_before": round(os.getloadavg()[0], 1),

@@ -81,7 +81,7 @@ def median_ms(call: Callable[[], object], repeat: int) -> dict[str, float]:
 
 def trial_cpu_s(card: dict[str, object]) -> float:
     """Return the CPU time [s] of a trial to its time limit, without that of building its world."""
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="holding:Holding")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="holding:Holding")
     world = settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed)
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "holding.py").write_text(HOLDING.format(card=card))
@@ -129,7 +129,7 @@ def main() -> None:
     if arguments.trials:
         print(json.dumps(trials(arguments.parent), indent=2))
         return
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     simulation = Simulation(build_scene(protocol, target="forearm"))
     simulation.settle(52.5)
     data = simulation.data

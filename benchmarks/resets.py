@@ -2,7 +2,7 @@
 
     python benchmarks/resets.py [--seeds 6] [--repeat 20]
 
-Protocol bathing-wide-v2-draft, level L1, tasks T1 and T4: median milliseconds of wall clock and of this process's CPU
+Protocol bathing-wide-v2, level L1, tasks T1 and T4: median milliseconds of wall clock and of this process's CPU
 time over all of its threads. ``new`` is a new Episode with its first observation; ``another trial`` the same trial on
 an object that had another one before; ``kept`` a trial whose world the object has kept. Persons have settled before, as
 after the first trial of a machine. Each is measured without cameras and with the two of 128 x 128 px.
@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=20)
     arguments = parser.parse_args()
     small = {f"cameras.{name}.{side}": PX for name in CAMERAS for side in ("width", "height")}
-    protocol = overridden(load_protocol("bathing-wide-v2-draft", level="L1"), small)
+    protocol = overridden(load_protocol("bathing-wide-v2", level="L1"), small)
     specs = [
         TrialSpec(protocol=protocol, task_id=task, seed=seed, policy="benchmark")
         for seed in range(arguments.seeds)

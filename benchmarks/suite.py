@@ -30,7 +30,7 @@ import json, os, resource, sys, time
 from pathlib import Path
 from carecontact.protocol.load import load_protocol; from carecontact.protocol.overrides import overridden
 from carecontact.runs.plan import plan_trials
-rules = overridden(load_protocol(), {"phases.time_limit_s": %(time_limit_s)d})
+rules = overridden(load_protocol("bathing-v3"), {"phases.time_limit_s": %(time_limit_s)d})
 def specs(count):
     return plan_trials(protocol=rules, policy="%(policy)s", tasks=["%(task)s"], seeds=range(count))
 def cpu_s():

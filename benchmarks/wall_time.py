@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--load", type=int, default=0)
     parser.add_argument("--shuffled", type=int, default=0, metavar="N")
     given = parser.parse_args()
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     tasks = parse_tasks(given.tasks, protocol=protocol)
     found: dict[str, object] = {"pace_s": given.pace, "tasks": tasks, "cameras": given.cameras, "load": given.load}
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(given.load)]

@@ -4,7 +4,7 @@
 
 ``openpi``: two pictures of 224 x 224 pixels and the robot's state to examples/openpi_server.py, which runs in a process
 of its own, and a chunk of fifteen actions back, with every check of ours. ``openpi_with_resizing``: the same from
-pictures as the cameras of bathing-v3-draft have them.
+pictures as the cameras of bathing-v3 have them.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ The overhead camera takes a picture when the policy asks for one; the robot's en
 picture tells where the skin is to about 10 mm, and 10 mm more or less of a stiff tool are 4 N. Therefore, the tool goes
 to a place above the skin, and from there nothing but a feedforward of 3 N moves it along its own axis: it comes down
 until the skin carries these 3 N, wherever the skin is, and follows a person who breathes. Its encoders say when it
-rests. The shipped policy `look-and-press` adds scrubs, pushes, foam, and a measurement of the arm's own bias and
-friction.
+rests, and when the person pushes or holds it: then it lifts off. The shipped policy `look-and-press` adds scrubs,
+pushes, foam, room for the hand, and a measurement of the arm's own bias and friction.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from carecontact.interface.body_view import PerceptionFailure, person_points, re
 from carecontact.interface.policy import PolicyCard
 from carecontact.policies.language.backend import Rules
 from carecontact.policies.motion import CONTROL_HZ, FREE_SPEED_M_S, UP, Leg, radial_quat, sample, travel
-from carecontact.policies.pressing import FORCE_N, softened
+from carecontact.policies.pressing import FORCE_N, HELD_N, held_n, softened
 from carecontact.policies.state_machine import travel_height
 
 OVER_M, STAYS = 0.03, 40  # height over the skin at which the arm becomes soft; control periods of 3 N
@@ -55,7 +55,9 @@ class Press:
                 seen = yield Action(pose_tcp_in_base=pose)
             rests, stayed, last_m = 0, 0, seen.pose_tcp_in_base[2]
             while stayed < STAYS and last_m > skin[2] - MISSED_M:
-                seen = yield softened(Action(pose_tcp_in_base=pose), FORCE_N)
+                last, seen = seen.pose_tcp_in_base, (yield softened(Action(pose_tcp_in_base=pose), FORCE_N))
+                if held_n(seen.pose_tcp_in_base, last, pose) > HELD_N:
+                    break
                 sunk_m, last_m = last_m - seen.pose_tcp_in_base[2], seen.pose_tcp_in_base[2]
                 stayed += rests >= RESTS
                 rests = rests + 1 if rests >= RESTS or abs(sunk_m) < REST_M else 0

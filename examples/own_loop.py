@@ -31,6 +31,6 @@ def run(spec: TrialSpec, policy: MyPolicy) -> Recording:
 
 
 if __name__ == "__main__":
-    trial = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="my_policy:MyPolicy")
+    trial = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="my_policy:MyPolicy")
     score = score_recording(run(trial, MyPolicy()))
     print(f"{score.trial_id}: ended as {score.ended}, success {score.c3_success}")

@@ -1,7 +1,7 @@
 """A question to the exam: does the shipped script pass more if it commands every target a constant deeper?
 
     carecontact run --policy press_deeper:PressDeeper --policy-arg by_m=0.006 \\
-        --protocol bathing-wide-v2-draft --level L2
+        --protocol bathing-wide-v2 --level L2
 
 from this folder. It is also an example of a policy that wraps another one.
 """

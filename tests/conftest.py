@@ -83,4 +83,4 @@ def scene_of() -> Callable[[str | None], Scene]:
     from carecontact.protocol.load import load_protocol
     from carecontact.world.scene import build_scene
 
-    return cache(lambda target: build_scene(load_protocol(), target=target))
+    return cache(lambda target: build_scene(load_protocol("bathing-v3"), target=target))

@@ -21,6 +21,7 @@ import pytest
 import carecontact
 from carecontact.cli.parsing import COMMANDS, parse
 from carecontact.interface.regions import STANDARD_REGIONS
+from carecontact.policies.registry import role_of
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.recording.notes import JOINTS
@@ -76,9 +77,7 @@ def test_every_page_that_code_and_messages_name_exists() -> None:
 
 # Every command in a block of code is one that the program understands, and every page names one exam.
 
-EXAM = "bathing-wide-v2-draft"
-NOTE = "**The exam is a draft**"
-"""While its id ends in -draft, a single note says what that means."""
+EXAM = "bathing-wide-v2"
 
 
 def page_commands() -> list[tuple[Path, str]]:
@@ -107,37 +106,22 @@ def test_the_program_understands_every_command_of_the_pages(page: Path, line: st
         load_protocol(name, level=level or ("L0" if name == EXAM else None))
 
 
-def test_the_pages_name_one_exam_and_say_in_one_place_that_it_is_a_draft() -> None:
-    texts = {page: page.read_text() for page in PAGES}
-    assert sum(text.count(NOTE) for text in texts.values()) == EXAM.endswith("-draft")
-    for page, text in texts.items():
-        ids = set(re.findall(rf"{EXAM.removesuffix('-draft')}(?:-draft)?(?![\w-])", text))
-        assert page.parent.name == "results" or ids <= {EXAM}, page
+def test_the_pages_name_one_exam() -> None:
+    for page in PAGES:
+        ids = set(re.findall(r"bathing-wide-v\d(?:-draft)?", page.read_text()))
+        assert page.parent.name == "results" or ids <= {EXAM, "bathing-wide-v1"}, page
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "docs/number.md"], ids=lambda page: page.stem)
 def test_the_rates_on_l2_are_those_of_the_kept_runs(page: Path) -> None:
     rows = dict(re.findall(r"^\| `([a-z-]+)`.*\| (\d+ \(\d+ %\)) \|$", page.read_text(), re.M))
-    (folder,) = (ROOT / "docs/results").glob(f"{EXAM}*L2")
+    folder = ROOT / "docs/results" / f"{EXAM}-L2"
     runs = {policy: read_scores(folder / f"{policy}.json.gz").scores for policy in rows}
     passed = {policy: sum(score.safety_gated for score in scores) for policy, scores in runs.items()}
     assert rows == {name: f"{passed[name]} ({100 * passed[name] / len(runs[name]):.0f} %)" for name in runs}
-    blind = {path.name.partition(".")[0] for path in folder.glob("*.gz")} - {"oracle", "state-machine", "voxposer"}
-    best = max(sum(score.safety_gated for score in read_scores(folder / f"{name}.json.gz").scores) for name in blind)
-    assert passed["replay-registered"] == best, "the floor is the best blind baseline"
-
-
-def test_the_sentence_on_results_has_the_rates_of_the_kept_runs() -> None:
-    best: dict[str, list[str]] = {"blind": [], "state-machine": []}
-    for level in ("L1", "L2", "L3"):
-        (folder,) = (ROOT / "docs/results").glob(f"{EXAM}*{level}")
-        runs = {path.name.partition(".")[0]: read_scores(path).scores for path in folder.glob("*.gz")}
-        rates = {name: 100 * sum(s.safety_gated for s in scores) / len(scores) for name, scores in runs.items()}
-        best["state-machine"].append(f"{rates.pop('state-machine'):.0f}")
-        best["blind"].append(f"{max(rate for name, rate in rates.items() if name not in ('oracle', 'voxposer')):.0f}")
-    blind, script = (f"{first}, {second} and {third} %" for first, second, third in best.values())
-    page = " ".join((ROOT / "docs/results/README.md").read_text().split())
-    assert f"passes {blind}, and our script {script}." in page
+    blind = [path for path in folder.glob("*.gz") if role_of(path.name.partition(".")[0]) == "blind"]
+    best = max(sum(score.safety_gated for score in read_scores(path).scores) for path in blind)
+    assert passed["mean-person-hybrid"] == best, "the floor is the best blind baseline"
 
 
 ACTIONS = ("touch", "scrub", "push")
@@ -314,7 +298,7 @@ def test_the_search_works_on_pages_that_are_opened_from_a_folder(
 
 def test_the_tasks_page_has_every_task_of_the_paper() -> None:
     page = (ROOT / "docs/tasks.md").read_text()
-    for task in load_protocol().tasks:
+    for task in load_protocol("bathing-v3").tasks:
         assert f"| {task.id} | {task.action} | {task.region.replace('_', ' ')} | {task.prompt} |" in page
 
 
@@ -412,7 +396,7 @@ def test_a_scene_is_measured_again_when_what_it_was_measured_with_changed(
 def test_the_fingerprint_follows_rules_body_and_code(
     tool: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    rules = load_protocol()
+    rules = load_protocol("bathing-v3")
     first, seen = tool.fingerprint(rules), Path.read_bytes
     assert tool.fingerprint(rules) == first
     assert tool.fingerprint(overridden(rules, {"person.body": "man-old-heavy"})) != first

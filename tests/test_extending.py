@@ -70,7 +70,7 @@ def held(protocol: Protocol, force: float, *, seconds: float = 3.0, seed: int = 
 
 def test_the_protocol_has_ten_lines_and_everything_else_from_its_base(protocol: Protocol) -> None:
     assert len(FILE.read_text().splitlines()) == 10
-    base = load_protocol("bathing-v3-draft")
+    base = load_protocol("bathing-v3")
     assert (protocol.physics, protocol.person, protocol.limits) == (base.physics, base.person, base.limits)
     assert [(task.action, task.region) for task in protocol.tasks] == [("hold", HAND)]
     assert protocol.contact.neighbourhood[HAND] == list(REGIONS[HAND].neighbourhood), "the region's own default"
@@ -109,7 +109,7 @@ def test_the_world_has_the_region_as_target_without_a_shell(scene: Scene, protoc
     assert 0.01 < outward <= half_width * 1.5 < 0.12
     assert list(scene.regions) == ["forearm", "upper_arm", "abdomen"]
     # What is soft is as fine as where another region is the target.
-    own = load_protocol("bathing-v3-draft")
+    own = load_protocol("bathing-v3")
     assert all(region.tissue == own.person.tissue[name] for name, region in scene.regions.items())
 
 
@@ -180,7 +180,7 @@ def test_it_stands_in_the_report(protocol: Protocol, tmp_path: Path) -> None:
 
 def test_recordings_name_the_package_that_supplied_the_rows(protocol: Protocol) -> None:
     assert trial_versions(protocol)["outside"] == version("outside") == "1.0"
-    assert "outside" not in trial_versions(load_protocol("bathing-v3-draft"))
+    assert "outside" not in trial_versions(load_protocol("bathing-v3"))
 
 
 def test_a_worker_process_finds_the_rows_by_itself(protocol: Protocol, tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_policies_that_follow_words_do_without_its_regions() -> None:
 def test_a_protocol_that_names_it_is_refused_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     task = "[[tasks]]\nid = 'T1'\nname = 'x'\naction = 'touch'\nregion = '{}'\nprompt = 'x'\n"
-    file.write_text("base = 'bathing-v3-draft'\nid = 'mine'\ndescription = 'x'\n" + task.format("poor_shin"))
+    file.write_text("base = 'bathing-v3'\nid = 'mine'\ndescription = 'x'\n" + task.format("poor_shin"))
     with pytest.raises(
         ConfigError, match=rf"^region 'poor_shin' {PACKAGE} \(faulty_region:SHIN\) cannot be loaded: [^\n]*$"
     ):

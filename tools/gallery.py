@@ -1,7 +1,7 @@
 """A picture of the people of a protocol with levels: one column for each seed, and one row for each level, from
 overhead. A last row shows each right arm of the last level from the head, low over the arm board.
 
-python tools/gallery.py --out gallery.png [--protocol bathing-wide-v2-draft] [--task T1] [--seeds 0-8]
+python tools/gallery.py --out gallery.png [--protocol bathing-wide-v2] [--task T1] [--seeds 0-8]
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CROP = 0.75
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--protocol", default="bathing-wide-v2-draft")
+    parser.add_argument("--protocol", default="bathing-wide-v2")
     parser.add_argument("--task", default="T1")
     parser.add_argument("--seeds", default="0-8")
     parser.add_argument("--out", type=Path, required=True)

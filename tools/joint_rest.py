@@ -76,7 +76,7 @@ def table(bodies: list[str]) -> None:
     print(f"| {' | '.join(heads)} |")
     print("|---|---|---|---|---|---|---|---|---|")
     for body in bodies:
-        scene = build_scene(overridden(load_protocol(), {"person.body": body}), target=None, skin=False)
+        scene = build_scene(overridden(load_protocol("bathing-v3"), {"person.body": body}), target=None, skin=False)
         print(row(body, resting_where_laid(scene), "where laid"))
         print(row(body, scene, "neutral"))
 

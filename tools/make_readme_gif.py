@@ -2,7 +2,7 @@
 
 MUJOCO_GL=egl python tools/make_readme_gif.py docs/figures/scrub.gif
 
-The state machine scrubs the forearm of bathing-v3-draft (T3, seed 0), with a stiffer arm and a path that lies deeper
+The state machine scrubs the forearm of bathing-v3 (T3, seed 0), with a stiffer arm and a path that lies deeper
 than its own, so that the skin gives way visibly. The safety gate of the forearm is 35 N.
 """
 
@@ -41,7 +41,7 @@ def deeper(action: Action) -> Action:
 def scrub() -> Recording:
     """The trial, in this process."""
     policy = StateMachine()
-    spec = TrialSpec(protocol=load_protocol("bathing-v3-draft"), task_id="T3", seed=0, policy="state-machine")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T3", seed=0, policy="state-machine")
     with Episode(spec, card=policy.card) as episode:
         policy.reset(episode.instruction)
         for action in policy.act(episode.reset()):

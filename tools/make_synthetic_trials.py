@@ -201,7 +201,7 @@ def simulated(
 ) -> tuple[dict[str, float], Iterator[tuple[str, Press]]]:
     """Truth (the drawn law) and presses on a shell of ``mesh`` times the shipped spacing, at that share of 1 ms."""
     noise = noise or Noise()
-    setup, base = SETUPS[region], load_protocol().person.tissue[region]
+    setup, base = SETUPS[region], load_protocol("bathing-v3").person.tissue[region]
     law = drawn_law(base, setup.depth_mm, rng)
     finer = {name: mesh * getattr(law, name) for name in ("spacing_m", "coarse_spacing_m")}
     law = law.model_copy(update=finer)

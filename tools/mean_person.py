@@ -1,7 +1,7 @@
 """Write the mean person of the blind baseline ``mean-person`` from a protocol's development seeds.
 
-    python tools/mean_person.py --protocol bathing-v3-draft --seeds 0-19
-    python tools/mean_person.py --protocol bathing-wide-v2-draft --level L2 --seeds 0-26 --out mean-person.json
+    python tools/mean_person.py --protocol bathing-v3 --seeds 0-19
+    python tools/mean_person.py --protocol bathing-wide-v2 --level L2 --seeds 0-26 --out mean-person.json
 
 The true geometry of every region is read where the person has settled, at each task's own world; nothing is rendered.
 """

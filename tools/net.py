@@ -35,9 +35,9 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 POLICIES = ("state-machine", "voxposer", "oracle", "replay")
-DRAFTS = ("bathing-v3-draft", "bathing-droid-draft", "bathing-wide-v2-draft:L1", "bathing-wide-v2-draft:L3")
+DRAFTS = ("bathing-v3", "bathing-droid-v1", "bathing-wide-v2:L1", "bathing-wide-v2:L3")
 """Protocol, with its level after a colon. L1 has other people, L3 everything that varies."""
-SALTED = "bathing-wide-v2-draft:L3"
+SALTED = "bathing-wide-v2:L3"
 SALT = "0" * 32
 HEADER, CHECKSUM = "header_json", "sha256"
 

@@ -306,7 +306,7 @@ def main() -> None:
     kept: list[Row] = []
     for seed in wanted:
         start = time.monotonic()
-        protocol = overridden(load_protocol(), {"person.body": names[seed % len(names)]}).model_copy(
+        protocol = overridden(load_protocol("bathing-v3"), {"person.body": names[seed % len(names)]}).model_copy(
             update={"variation": VARIED}
         )
         mark = fingerprint(protocol)

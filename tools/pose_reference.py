@@ -25,7 +25,7 @@ WIDTH, QUALITY = 480, 85
 
 
 def main() -> None:
-    protocol = load_protocol("bathing-wide-v2-draft", level="L3")
+    protocol = load_protocol("bathing-wide-v2", level="L3")
     card = PolicyCard(name="pictures", modalities=("rgb",), cameras=CAMERAS)
     pose = Pose(static_image_mode=True, model_complexity=1, enable_segmentation=True, min_detection_confidence=0.5)
     jpegs, landmarks, masks = [], [], []

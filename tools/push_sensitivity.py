@@ -32,7 +32,7 @@ HEADS = ("shoulder [N m/rad]", "board friction", "passed", "largest force [N]", 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--protocol", default="bathing-wide-v2-draft")
+    parser.add_argument("--protocol", default="bathing-wide-v2")
     parser.add_argument("--level", default="L1")
     parser.add_argument("--seeds", default="0-8")
     given = parser.parse_args()

@@ -378,7 +378,7 @@ def write_scene(path: Path, base: Array, yaw_deg: float, parked: Parked, box: tu
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--protocol", default="bathing-v3-draft")
+    parser.add_argument("--protocol", default="bathing-v3")
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--write", type=Path, help="protocol file to edit in place")
     parser.add_argument("--finalists", type=int, default=3, help="bases whose paths from a parked posture are studied")

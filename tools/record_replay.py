@@ -8,7 +8,7 @@ The run has every task, with a seed on which the baselines will not be judged. T
 with a seed that no shipped protocol has:
 
     sed -e 's/^seeds = .*/seeds = [9999]/; 0,/^id/s/^id = .*/id = "replay-source"/; s/^frozen = .*/frozen = false/' \\
-        src/carecontact/protocol/bathing-v3-draft.toml > /tmp/replay.toml
+        src/carecontact/protocol/bathing-v3.toml > /tmp/replay.toml
     carecontact run --policy state-machine --protocol /tmp/replay.toml --out runs/replay-source
 """
 

@@ -21,6 +21,7 @@ from carecontact.running import machine, supervisor
 from carecontact.runs import score_run, write_scores
 from carecontact.serving.fence import version
 from tests.api.still import Still
+from tests.running.forked_fakes import FAKE, fork_fakes
 from tests.scoring.synthetic import make_recording, push, touch
 
 
@@ -168,13 +169,12 @@ def test_a_place_that_is_no_run_is_named(runs: Path) -> None:
 
 # A policy evaluated from Python: by name, as a class, and as an object that stays in this process.
 
-FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker.py"))
-
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
     """Workers that only write recordings."""
     monkeypatch.setattr(module, "run_trials", functools.partial(supervisor.run_trials, worker_command=FAKE))
+    fork_fakes(monkeypatch)
     monkeypatch.setenv("FAKE_LOG", str(tmp_path / "ran.txt"))
     monkeypatch.setenv("FAKE_PLAN", "{}")
     monkeypatch.setenv("PYTHONPATH", str(Path(cc.__file__).parents[1]))
@@ -266,9 +266,9 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
 
 
 def test_a_level_of_a_protocol_is_chosen_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"bathing-wide-v2-draft.*L0, L1, L2, L3"):
-        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v2-draft")
+    with pytest.raises(ConfigError, match=r"no level named 'L4'.*valid: L0, L1, L2, L3"):
+        cc.evaluate("hover", out=tmp_path, level="L4")
     with pytest.raises(ConfigError, match=r"^seeds: "):
-        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v2-draft", level="L2", seeds="100000")
+        cc.evaluate("hover", out=tmp_path, protocol="bathing-wide-v2", level="L2", seeds="100000")
     with pytest.raises(ConfigError, match="seeds=None: expected a text, a number or a list"):
         cc.evaluate("hover", out=tmp_path, seeds=None)  # type: ignore[arg-type]

@@ -33,12 +33,12 @@ def send_a_privileged_key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def keyframe() -> Keyframe:
-    return Keyframe(load_protocol(), task_id="T1", seed=0)
+    return Keyframe(load_protocol("bathing-v3"), task_id="T1", seed=0)
 
 
 @pytest.fixture(scope="session")
 def spec() -> TrialSpec:
-    return TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="")
+    return TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="")
 
 
 @pytest.fixture

@@ -116,7 +116,7 @@ def test_a_difference_is_named(expected: object, got: object, place: str, text: 
 def test_the_press_meets_soft_tissue_beside_a_large_chest() -> None:
     """A hand that lands on the chest first is stopped by bone, whose force tells nothing about tissue; seed 0 is a
     heavy woman."""
-    protocol = load_protocol("bathing-wide-v2-draft", level="L3")
+    protocol = load_protocol("bathing-wide-v2", level="L3")
     spec = TrialSpec(protocol=protocol, task_id="T4", seed=0, policy="hover")
     keyframe = Keyframe(protocol, task_id="T4", seed=0)
     simulation, _, _ = keyframe.near(spec)

@@ -36,7 +36,7 @@ from carecontact.world.scene import build_scene
 @pytest.mark.parametrize("own_deg", [45.0, 60.0])
 def test_the_other_arm_lies_far_from_where_the_arm_is_and_not_from_where_its_seed_drew_it_first(own_deg: float) -> None:
     """A person who does not suit the robot is drawn again, so that the angle is not the seed's first draw."""
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="hover")
     other = other_arm_angle(spec, own_deg=own_deg)
     angle = draw(protocol, region="forearm", seed=other.seed).comfort_arm_deg
@@ -49,7 +49,7 @@ def test_the_other_arm_lies_far_from_where_the_arm_is_and_not_from_where_its_see
 
 @pytest.mark.parametrize(
     ("protocol", "level"),
-    [("bathing-v3-draft", None), ("bathing-wide-v2-draft", "L3")],
+    [("bathing-v3", None), ("bathing-wide-v2", "L3")],
 )
 def test_the_compiled_tissue_takes_every_scrambled_model(protocol: str, level: str | None) -> None:
     model = build_scene(load_protocol(protocol, level=level), target="forearm", skin=False).model
@@ -66,7 +66,7 @@ def test_the_compiled_tissue_takes_every_scrambled_model(protocol: str, level: s
 OVERHEAD = "observation.cameras.overhead"
 
 
-LONG = load_protocol("bathing-wide-v2-draft", level="L3")
+LONG = load_protocol("bathing-wide-v2", level="L3")
 SHORT = LONG.model_copy(update={"phases": LONG.phases.model_copy(update={"time_limit_s": 0.1})})
 SPEC = TrialSpec(protocol=SHORT, task_id="T1", seed=1, policy="hover", salt="5a" * 32)
 

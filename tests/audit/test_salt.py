@@ -16,7 +16,7 @@ SALT = "5a" * 32
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     varied = protocol.model_copy(
         update={
             "variation": protocol.variation.model_copy(update={"calibration_m": 0.003, "calibration_deg": 0.2}),

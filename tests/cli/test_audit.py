@@ -17,27 +17,28 @@ from tests.audit.conftest import send_a_privileged_key
 AUDITED = [name for name in POLICIES if role_of(name) != "privileged"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "audited", "privileged"),
     [
         (["--policy", "state-machine"], ["state-machine"], []),
-        pytest.param([], AUDITED, ["oracle"], marks=pytest.mark.slow, id="every registered policy"),
+        pytest.param([], AUDITED, ["oracle"], id="every registered policy"),
     ],
 )
 def test_nothing_leaks_on_the_hardest_level(
     options: list[str], audited: list[str], privileged: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    hardest = ["--protocol", "bathing-wide-v2-draft", "--level", "L3", "--seed", "5", *options]
+    hardest = ["--protocol", "bathing-wide-v2", "--level", "L3", "--seed", "5", *options]
     assert main(["verify", "leaks", "--quick", *hardest, "-o", str(tmp_path / "audit")]) == 0
     printed = capsys.readouterr().out
-    assert printed.startswith(f"bathing-wide-v2-draft L3, seed 5, man-adult-light, quick: {', '.join(audited)}\n")
+    assert printed.startswith(f"bathing-wide-v2 L3, seed 5, man-adult-light, quick: {', '.join(audited)}\n")
     rows = [line.split()[:2] for line in printed.splitlines() if line.startswith(("pass ", "FAIL "))]
     assert rows == [["pass", name] for name in ("re-derivation", "readings", "frozen", "canary", "handshake", "schema")]
     record = json.loads((tmp_path / "audit" / "audit.json").read_text())
     assert record["schema"] == "carecontact-audit-1"
     assert record["passed"] is True
     assert (record["protocol"]["id"], record["protocol"]["level"], record["protocol"]["seed"]) == (
-        "bathing-wide-v2-draft L3", "L3", 5,
+        "bathing-wide-v2 L3", "L3", 5,
     )  # fmt: skip
     assert (record["policies"], record["privileged"]) == (audited, privileged)
     counts = {part["part"]: part["counts"] for part in record["parts"]}
@@ -77,8 +78,8 @@ def test_a_leak_ends_with_status_1_and_its_name(
         (["--policy", "no-such"], "no policy named 'no-such'; valid: feint-and-wait, hover"),
         (["--policy", "oracle"], "oracle: this policy is privileged"),
         (["--policy", "hover", "hover"], "hover is named twice"),
-        (["--seed", "20"], "--seed: 20 is not a seed of bathing-v3-draft; valid: 0-19"),
-        (["--tasks", "T8"], "'T8' is not a task of bathing-v3-draft"),
+        (["--seed", "54"], "--seed: 54 is not a seed of bathing-wide-v2"),
+        (["--tasks", "T8"], "'T8' is not a task of bathing-wide-v2 L2"),
         (["--protocol", "none"], "no protocol named 'none'"),
         (["-o", __file__], "this is a file; name a folder"),
         (["--policy", "nowhere:Policy"], "does not start"),
@@ -95,7 +96,10 @@ def test_what_cannot_be_audited_is_named(
 
 # The secret of a run: made, committed to, used by every trial, revealed and verified.
 
-RUN = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-1", "--salt-file", "salt.txt"]
+RUN = [
+    "run", "--policy", "hover", "--protocol", "bathing-v3", "--tasks", "T1", "--seeds", "0-1",
+    "--salt-file", "salt.txt",
+]  # fmt: skip
 
 
 @pytest.fixture

@@ -52,8 +52,8 @@ def test_one_picture_of_every_camera(
     changed = {"body": "man-old-light", "tool": "mitt"}
     assert asked == {"title": asked["title"], "task_id": "T3", "seed": 7, "weights": None, "salt": "", **changed}
     assert (card.modalities, card.cameras) == (MODALITIES, CAMERAS)
-    assert main(["view", "--start", "--task", "T1", "--protocol", "bathing-wide-v2-draft", "--level", "L2"]) == 0
-    assert asked["title"] == "bathing-wide-v2-draft L2"
+    assert main(["view", "--start", "--task", "T1", "--protocol", "bathing-wide-v2", "--level", "L2"]) == 0
+    assert asked["title"] == "bathing-wide-v2 L2"
 
 
 # What the doctor concludes and prints; the machine's own state is not asserted.
@@ -128,7 +128,7 @@ def test_exit_status_and_record_follow_the_verdict(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [(["--checks", "energie"], "force-balance"), (["--checks", "energy,energy"], "each once"),
-     (["--body", "absent"], "man-adult"), (["--protocol", "nothing"], "bathing-v3-draft"),
+     (["--body", "absent"], "man-adult"), (["--protocol", "nothing"], "bathing-v3"),
      (["--fem"], "--fem runs no check")],
 )  # fmt: skip
 def test_a_wrong_name_is_one_line(
@@ -223,7 +223,7 @@ def test_what_does_not_fit_is_named_before_anything_runs(
 
 def test_a_protocol_that_names_weights_takes_no_others(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grounded_sam, "GroundedSam", lambda folder: None)
-    own = with_vision(load_protocol(), VisionGroup(segmenter="grounded-sam", weights=weights))
+    own = with_vision(load_protocol("bathing-v3"), VisionGroup(segmenter="grounded-sam", weights=weights))
     assert own.vision.segmenter == "grounded-sam"
     assert with_vision(own, VisionGroup(segmenter=None, weights=weights)) == own
     assert with_vision(own, VisionGroup(segmenter="mediapipe", weights=None)).vision == Vision()

@@ -43,10 +43,10 @@ def carecontact(*arguments: str, cwd: Path, **variables: str) -> subprocess.Comp
         (["run", "--policy", "no_such:Thing", "--out", "r"], "No module named 'no_such'"),
         (["run", "--policy", "a b:C", "--out", "r"], "expected module:Class"),
         (["run", "--policy", "hover", "--out", "r", "--tasks", "T9"], "valid: T1, T2, T3, T4, T5, T6, T7"),
-        (["run", "--policy", "hover", "--out", "r", "--seeds", "44"], "valid: 0-19"),
+        (["run", "--policy", "hover", "--out", "r", "--seeds", "54"], "valid: 0-53, 1000-1053"),
         (
             ["run", "--policy", "hover", "--out", "r", "--protocol", "p"],
-            "no protocol named 'p'; valid: bathing-droid-draft, bathing-v3-draft, bathing-wide-v2-draft",
+            "no protocol named 'p'; valid: bathing-droid-v1, bathing-v3, bathing-wide-v2",
         ),
         (["run", "--policy", "hover", "--out", "r", "--jobs", "0"], "must be at least 1"),
         (["run", "--policy", "hover", "--out", "broken.py"], "this is a file"),
@@ -76,9 +76,9 @@ def carecontact(*arguments: str, cwd: Path, **variables: str) -> subprocess.Comp
         (["verify", "physics", "--body", "man-adult", "--body", "woman-old-light"], "--body is given twice"),
         (
             ["view", "--start", "--task", "T9"],
-            "'T9' is not a task of bathing-v3-draft; valid: T1, T2, T3, T4, T5, T6, T7",
+            "'T9' is not a task of bathing-wide-v2; valid: T1, T2, T3, T4, T5, T6, T7",
         ),
-        (["view", "--start", "--seed", "20"], "--seed: 20 is not a seed of bathing-v3-draft; valid: 0-19"),
+        (["view", "--start", "--seed", "54"], "--seed: 54 is not a seed of bathing-wide-v2; valid: 0-53, 1000-1053"),
         (["view", "--start", "--out", "r"], "a picture ends in .png, .jpg, .pdf"),
         (["view", "--start", "--body", "absent"], "no body named 'absent'"),
         (["view", "--start", "--set", "physics.dt_s=0.004", "--set", "physics.dt_m=1"], "physics.dt_m"),
@@ -123,9 +123,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (
             "protocols",
             [
-                "bathing-droid-draft",
-                "bathing-v3-draft",
-                *4 * ["bathing-wide-v2-draft"],
+                *4 * ["bathing-droid-v1"],
+                "bathing-v3",
+                *4 * ["bathing-wide-v2"],
             ],
         ),
         ("metrics", sorted(METRICS)),

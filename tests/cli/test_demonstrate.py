@@ -137,11 +137,11 @@ def test_a_control_lies_in_the_run_and_its_report_shows_it(here: Path, capsys: p
 
 @pytest.mark.slow
 def test_a_run_on_persons_of_the_training_is_refused(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    policy = ["run", "--policy", "down:Down", "--policy-arg", "trained_on=bathing-v3-draft:0-3", *SHORT]
+    policy = ["run", "--policy", "down:Down", "--policy-arg", "trained_on=bathing-v3:0-3", *SHORT]
     assert main([*policy, "--seeds", "3", "--out", "r"]) == 2
-    assert "down:Down was trained on bathing-v3-draft:0-3, as its card says" in capsys.readouterr().err
+    assert "down:Down was trained on bathing-v3:0-3, as its card says" in capsys.readouterr().err
     assert main([*policy, "--seeds", "4", "--out", "r"]) == 0
-    assert "bathing-v3-draft:0-3" in Path("r/report.html").read_text()
+    assert "bathing-v3:0-3" in Path("r/report.html").read_text()
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def test_two_builds_are_the_same_bytes(run: Path, capsys: pytest.CaptureFixture[
 
 def test_results_alone_give_what_needs_no_recording(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (run / "run" / "results.json").read_text()
-    (run / "alone.json").write_text(text.replace(load_protocol().sha256, "0" * 64))
+    (run / "alone.json").write_text(text.replace(load_protocol("bathing-v3").sha256, "0" * 64))
     assert main(["export", "paper", "alone.json", "--out", "p"]) == 0
     printed = capsys.readouterr().out
     assert "the figures of traces and of force and indentation are left out" in printed
@@ -102,7 +102,7 @@ def test_mistakes_are_one_line(run: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_results_alone_of_one_level_have_its_protocol() -> None:
-    protocol = load_protocol("bathing-wide-v2-draft", level="L2")
+    protocol = load_protocol("bathing-wide-v2", level="L2")
     score = make_score("T1", 0).model_copy(update={"protocol_id": protocol.name, "protocol_sha256": protocol.sha256})
     assert export._protocol([], [RunScores(scores=[score])]) == protocol  # pyright: ignore[reportPrivateUsage]
 

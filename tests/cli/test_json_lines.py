@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,8 @@ from carecontact.lab.validation.result import CheckResult, Measure
 from carecontact.recording import write_recording
 from carecontact.running import machine, supervisor
 from carecontact.runs import score_run, write_scores
+from tests.running.forked_fakes import FAKE, fork_fakes
 from tests.scoring.synthetic import make_recording, push, touch
-
-FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker.py"))
 
 
 def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
@@ -87,6 +85,7 @@ def test_run_tells_each_trial_as_it_ends(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(supervisor, "run_trials", functools.partial(supervisor.run_trials, worker_command=FAKE))
+    fork_fakes(monkeypatch)
     monkeypatch.setenv("FAKE_LOG", str(tmp_path / "ran.txt"))
     monkeypatch.setenv("FAKE_PLAN", json.dumps({"T2-s000": "exit"}))
     monkeypatch.setenv("PYTHONPATH", str(Path(carecontact.__file__).parents[1]))
@@ -137,14 +136,14 @@ def test_compare(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_protocol(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["protocol", "list", "--json"]) == 0
-    assert "bathing-v3-draft" in {row["id"] for row in lines(capsys)[0]["protocols"]}
-    assert main(["protocol", "show", "bathing-v3-draft", "--json"]) == 0
+    assert "bathing-v3" in {row["id"] for row in lines(capsys)[0]["protocols"]}
+    assert main(["protocol", "show", "bathing-v3", "--json"]) == 0
     assert lines(capsys)[0]["fields"]["tasks"][0]["id"] == "T1"
-    assert main(["protocol", "verify", "bathing-droid-draft", "--json"]) == 1
+    own = tmp_path / "own.toml"
+    own.write_text('base = "bathing-v3"\nid = "own-1"\ndescription = "mine"\nfrozen = true\n')
+    assert main(["protocol", "verify", str(own), "--json"]) == 1
     (line,) = lines(capsys)
     assert (line["equal"], line["differences"]) == (False, [])
-    own = tmp_path / "own.toml"
-    own.write_text('base = "bathing-v3-draft"\nid = "own-1"\ndescription = "mine"\nfrozen = true\n')
     assert main(["protocol", "lock", str(own), "--json"]) == 0
     assert Path(lines(capsys)[0]["lock"]).is_file()
     assert main(["protocol", "verify", str(own), "--json"]) == 0
@@ -210,7 +209,7 @@ def test_feasible_draws_a_map_only_where_it_is_asked_for_beside_json(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(placed_persons, "survey_placement", none_fits)
-    asked = ["protocol", "feasible", "bathing-wide-v2-draft", "--level", "L2", "--seeds", "0", "--json"]
+    asked = ["protocol", "feasible", "bathing-wide-v2", "--level", "L2", "--seeds", "0", "--json"]
     assert main(asked) == 1
     (line,) = lines(capsys)
     assert [row["feasible"] for row in line["seeds"]] == [False]

@@ -137,8 +137,17 @@ def policy_of(folder: Path) -> int:
     return found
 
 
+QUICK = {("command", "off"), ("fork server", ""), ("worker", "off"), ("watcher", ""), ("policy", "off")}
+"""Each process once; with the other kind of system it is a slow test."""
+KILLED = [
+    pytest.param(whom, kind, marks=[] if (whom, kind) in QUICK else pytest.mark.slow, id=f"{whom} {kind}")
+    for whom in ("command", "fork server", "worker", "watcher", "policy")
+    for kind in ("", "off")
+]
+
+
 @pytest.mark.usefixtures("_killed")
-@pytest.mark.parametrize("whom", ["command", "fork server", "worker", "watcher", "policy"])
+@pytest.mark.parametrize(("whom", "sandbox"), KILLED, indirect=["sandbox"])
 def test_they_end_with_any_process_that_is_killed(tmp_path: Path, whom: str) -> None:
     environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
     run = subprocess.Popen(command(tmp_path, WAIT), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)

@@ -12,7 +12,7 @@ import pytest
 from carecontact.cli import main
 from carecontact.recording import Recording, read_recording, write_recording
 
-WHOLE = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0-1"]
+WHOLE = ["run", "--policy", "hover", "--tasks", "T1,T2", "--seeds", "0-1", "--protocol", "bathing-v3"]
 
 
 def part(k: int, *, policy: str = "hover") -> list[str]:
@@ -105,7 +105,7 @@ def misnamed() -> None:
         (other_recording, "part-1/T1-s000.h5 and again/T1-s000.h5 are different recordings of one trial"),
         (in_process, "again/T1-s000.h5 was recorded in-process: an Episode in somebody's own program made it"),
         (other_policy, "part-1 and again are not parts of one run: different policies, hover and zero-action"),
-        (other_protocol, "not parts of one run: different protocols, bathing-v3-draft "),
+        (other_protocol, "not parts of one run: different protocols, bathing-v3 "),
         (other_release, "not parts of one run: different versions, mujoco 4.0.0 and mujoco 9.9.9"),
         (misnamed, "again/T2-s000.h5 holds trial T1-s000"),
         (lambda: Path("again").mkdir(), "again is not a run: it holds no manifest.json"),

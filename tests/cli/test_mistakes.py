@@ -33,7 +33,7 @@ class Helper: ...
 class MyPolicy:
     def act(self, observation): ...
 """
-HEIR = 'base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "mine"\n'
+HEIR = 'base = "bathing-v3"\nid = "mine-v1"\ndescription = "mine"\n'
 RUN = ["run", "--out", "r", "--tasks", "T1", "--seeds", "0", "--policy"]
 MISTAKES = {
     "a misspelt option": (
@@ -47,7 +47,7 @@ MISTAKES = {
     "a word for a number": ([*RUN, "hover", "--jobs", "two"], "--jobs: expected INT, got 'two'"),
     "a task in lower case, and --task for --tasks": (
         ["run", "--policy", "hover", "--out", "r", "--task", "t1"],
-        "tasks: 't1' is not a task of bathing-v3-draft (did you mean 'T1'?); valid: T1, ",
+        "tasks: 't1' is not a task of bathing-wide-v2 L2 (did you mean 'T1'?); valid: T1, ",
     ),
     "a misspelt policy": ([*RUN, "state_machine"], "no policy named 'state_machine' (did you mean 'state-machine'?)"),
     "the file in place of the policy": ([*RUN, "my_policy.py"], "(did you mean my_policy:MyPolicy?)"),
@@ -74,8 +74,8 @@ MISTAKES = {
     ),
     "a protocol without its base": (
         ["protocol", "show", "alone.toml"],
-        'alone.toml: add base = "bathing-v3-draft" (valid: bathing-v3-draft, bathing-droid-draft, '
-        "bathing-wide-v2-draft, FILE.toml), or give all fields; 12 ",
+        'alone.toml: add base = "bathing-wide-v2" (valid: bathing-wide-v2, bathing-droid-v1, '
+        "bathing-v3, FILE.toml), or give all fields; 12 ",
     ),
     "a protocol file without its ending": (
         ["protocol", "verify", "alone"],
@@ -132,7 +132,7 @@ def test_a_mistake_is_one_line_that_says_what_to_do(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("carecontact.serving.opening.FIRST_PAUSE_S", WITHOUT_WAITING)
     Path("my_policy.py").write_text(POLICY)
-    Path("gone.toml").write_text(HEIR.replace("bathing-v3-draft", "no.toml"))
+    Path("gone.toml").write_text(HEIR.replace("bathing-v3", "no.toml"))
     Path("field.toml").write_text(HEIR + "phsyics.dt_s = 0.004\n")
     Path("bsae.toml").write_text(HEIR.replace("base", "bsae"))
     Path("alone.toml").write_text(HEIR.partition("\n")[2])
@@ -315,7 +315,7 @@ def test_every_command_that_chooses_rules_takes_it_more_than_once(command: str) 
     given = [part for path, value in CHANGES.items() for part in ("--set", f"{path}={value}")]
     parsed: Any = parse([*command.split(), *CHOOSE_RULES[command], *given])
     rules = parsed.sheet.rules if command == "view" else parsed.rules
-    own = load_protocol()
+    own = load_protocol("bathing-wide-v2")
     assert rules.load() == overridden(own, CHANGES)
 
 
@@ -323,7 +323,7 @@ def test_body_tissue_fast_and_stiffness_are_short_for_it() -> None:
     short = ["--body", "woman-old-light", "--tissue", "human-published", "--fast", "--stiffness", "200"]
     run = parse(["run", *CHOOSE_RULES["run"], *short])
     long = overridden(
-        load_protocol(),
+        load_protocol("bathing-wide-v2"),
         {"person.body": "woman-old-light", "person.tissue_set": "human-published", "physics.dt_s": "0.004",
          "impedance.translational_n_m": "200"},
     )  # fmt: skip
@@ -348,15 +348,15 @@ def test_what_is_wrong_is_named(given: tuple[str, ...], message: str) -> None:
 def test_an_option_and_a_set_of_one_field_contradict_each_other() -> None:
     rules = RulesGroup(changes=("physics.dt_s=0.005",))
     with pytest.raises(ConfigError, match=r"--fast: another option replaces physics\.dt_s"):
-        rules.changed(load_protocol(), **PhysicsGroup(fast=True).changes(load_protocol()))
+        rules.changed(load_protocol("bathing-v3"), **PhysicsGroup(fast=True).changes(load_protocol("bathing-v3")))
 
 
 def test_a_run_says_what_was_set(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from carecontact.cli import main
 
     command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
-    assert main([*command, "--set", "gates.touch.duration_s=1"]) == 0
-    assert "bathing-v3-draft with gates.touch.duration_s 1" in capsys.readouterr().out
+    assert main([*command, "--set", "gates.touch.duration_s=2"]) == 0
+    assert "bathing-wide-v2 L2 with gates.touch.duration_s 2" in capsys.readouterr().out
     assert main(command) == 2, "the folder holds trials of other rules"
 
 
@@ -364,7 +364,7 @@ def test_latency_is_an_option_of_run_in_milliseconds() -> None:
     run = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250"])
     assert isinstance(run, Run)
     assert run._protocol().phases.latency_s == 0.25
-    assert run._protocol().title == "bathing-v3-draft with phases.latency_s 0.25"
+    assert run._protocol().title == "bathing-wide-v2 L2 with phases.latency_s 0.25"
     wrong = parse(["run", "--policy", "hover", "--out", "r", "--latency-ms", "250", "--set", "phases.latency_s=1"])
     assert isinstance(wrong, Run)
     with pytest.raises(ConfigError, match=r"--latency-ms: another option replaces phases\.latency_s"):

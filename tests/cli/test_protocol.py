@@ -23,7 +23,7 @@ def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def world_of(protocol: Protocol) -> str:
-    same = {"id": "any", "description": "", "variation": Variation(), "phases": load_protocol().phases}
+    same = {"id": "any", "description": "", "variation": Variation(), "phases": load_protocol("bathing-v3").phases}
     return protocol.model_copy(update=same).model_dump_json()
 
 
@@ -34,18 +34,13 @@ def sums_of(region: str, protocol: str) -> dict[str, float]:
 
 def test_list_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["protocol", "list"]) == 0
-    assert "bathing-v3-draft         draft: " in capsys.readouterr().out
+    assert "bathing-v3               frozen: " in capsys.readouterr().out
     assert main(["protocol", "show"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("# bathing-v3-draft, sha256 ")
-    assert "# draft" in out
-    assert "# paper-mapping, abdomen: " in out
+    assert out.startswith("# bathing-wide-v2 L0, sha256 ")
+    assert "# frozen, bathing-wide-v2.L0.lock.json" in out
+    assert "# human-published, abdomen: " in out
     assert "[physics]" in out
-
-
-def test_a_draft_does_not_verify(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "verify", "bathing-droid-draft"]) == 1
-    assert capsys.readouterr().out == "bathing-droid-draft has no lock: a draft, which may change with every release\n"
 
 
 @pytest.fixture
@@ -113,7 +108,7 @@ def test_lock_verify_and_drift(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
-    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-v3-draft", "own")],
+    [("frozen = true", "frozen = false", "set frozen = true"), ("mine-v1", "bathing-v3", "own")],
 )
 def test_what_cannot_be_locked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
@@ -125,5 +120,5 @@ def test_what_cannot_be_locked(
 
 
 def test_a_shipped_protocol_is_not_locked_in_place(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocol", "lock", "bathing-v3-draft"]) == 2
+    assert main(["protocol", "lock", "bathing-v3"]) == 2
     assert "copy its file" in capsys.readouterr().err

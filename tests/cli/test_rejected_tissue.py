@@ -21,7 +21,7 @@ def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the current folder, a set with a rejected forearm and one with an accepted abdomen."""
     monkeypatch.chdir(tmp_path)
     for name, region, verdict in (("rejected", "forearm", "rejected"), ("calibrated", "abdomen", "accepted")):
-        row = load_protocol().person.tissue[region].model_dump(mode="json", exclude_none=True)
+        row = load_protocol("bathing-v3").person.tissue[region].model_dump(mode="json", exclude_none=True)
         lines = [f"{key} = {json.dumps(value)}" for key, value in row.items()]
         reasons = [REASON] if verdict == "rejected" else []
         head = [f'id = "{name}-{region}-0a"', 'description = "x"', 'base = "paper-mapping"', f"[tissue.{region}]"]
@@ -30,7 +30,7 @@ def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         Path(f"{name}.toml").write_text(text)
     Path("p.toml").write_text(PLAN)
     Path("mine.toml").write_text(
-        'base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "mine"\n[person]\ntissue_set = "rejected.toml"\n'
+        'base = "bathing-v3"\nid = "mine-v1"\ndescription = "mine"\n[person]\ntissue_set = "rejected.toml"\n'
     )
 
 
@@ -64,7 +64,7 @@ def test_every_report_names_it(fake: pytest.MonkeyPatch, capsys: pytest.CaptureF
     printed = f"The calibration of this tissue was rejected: forearm ({REASON})."
     out = capsys.readouterr().out
     assert printed in out
-    assert "bathing-v3-draft with tissue rejected-forearm-0a+calibrated-abdomen-0a" in out
+    assert "bathing-wide-v2 L2 with tissue rejected-forearm-0a+calibrated-abdomen-0a" in out
     assert main(["report", "--rescore", "r"]) == 0
     assert printed in capsys.readouterr().out
     assert json.loads(Path("r/results.json").read_text())["rejected_tissue"] == f"forearm ({REASON})"

@@ -291,7 +291,7 @@ def test_demo_leaves_what_is_no_demo_alone(
         Path("r/T1-s000.h5").write_bytes(b"mine")
     elif made_by == "demo and a trial more":
         main(["run", "--demo", "--out", "r"])
-        exam = ["--protocol", "bathing-wide-v2-draft", "--level", "L2"]
+        exam = ["--protocol", "bathing-wide-v2", "--level", "L2"]
         main(["run", "--policy", "state-machine", *exam, "--tasks", "T1", "--seeds", "0-1", "--out", "r"])
     else:
         policy = "state-machine" if made_by == "run of the same trials" else "hover"
@@ -349,9 +349,12 @@ def test_the_verdict_stands_beside_floor_and_ceiling_and_a_miss_in_place_of_a_ta
         made = [s.model_copy(update={"safety_gated": s.seed < passed, **of_all}) for s in score_run(Path("r")).scores]
         return RunScores(scores=made)
 
-    assert main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-2", "--out", "r"]) == 0
+    assert (
+        main(["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0-2", "--out", "r", "--protocol", "bathing-v3"])
+        == 0
+    )
     printed = capsys.readouterr().out
-    assert "hover passes 0 of 3 trials (0 %) of bathing-v3-draft" in printed
+    assert "hover passes 0 of 3 trials (0 %) of bathing-v3" in printed
     assert "the robot never touched the person" in printed
     assert re.search(r"^T1 touch forearm +3 +\d+ +\d+\.\d\d +T1-s00\d ", printed, re.MULTILINE)
     assert "NA" not in printed
@@ -359,7 +362,7 @@ def test_the_verdict_stands_beside_floor_and_ceiling_and_a_miss_in_place_of_a_ta
     both = [kept(1, policy="replay"), kept(3, policy="oracle", privileged=True)]
     fake.setattr(baselines, "shipped_scores_for", lambda run, named, folders=(): (both, ""))
     assert main(["report", "r"]) == 0
-    line = "hover passes 0 of 3 trials (0 %) of bathing-v3-draft; best blind baseline: replay 1 of 3; ceiling: oracle 3"
+    line = "hover passes 0 of 3 trials (0 %) of bathing-v3; best blind baseline: replay 1 of 3; ceiling: oracle 3"
     assert line in capsys.readouterr().out
 
 
@@ -376,8 +379,8 @@ def test_differences_match_trials_by_id() -> None:
 def test_another_body_shows_everywhere_and_is_never_pooled(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
-    title = "bathing-v3-draft with body woman-old-light"
+    command = ["run", "--policy", "hover", "--protocol", "bathing-v3", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    title = "bathing-v3 with body woman-old-light"
     assert main([*command, "--body", "woman-old-light"]) == 0
     printed = capsys.readouterr().out
     assert f"1 trial of {title} into r" in printed
@@ -409,13 +412,13 @@ def test_another_body_shows_everywhere_and_is_never_pooled(
 def test_a_sweeps_run_says_what_it_varies(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], option: str, value: str, title: str
 ) -> None:
-    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    command = ["run", "--policy", "hover", "--protocol", "bathing-v3", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main([*command, option, value]) == 0
-    assert f"1 trial of bathing-v3-draft with {title} into r" in capsys.readouterr().out
+    assert f"1 trial of bathing-v3 with {title} into r" in capsys.readouterr().out
     assert list(json.loads(Path("r/results.json").read_text())["protocol"]["overrides"].values()) == [value]
-    assert f"bathing-v3-draft with {title}" in Path("r/report.html").read_text()
+    assert f"bathing-v3 with {title}" in Path("r/report.html").read_text()
     assert main(command) == 2
-    assert "bathing-v3-draft with" in capsys.readouterr().err
+    assert "bathing-v3 with" in capsys.readouterr().err
     assert main([*command[:-1], "own"]) == 0
     assert main(["compare", "r", "own"]) == 2
     assert "only runs of the same protocol" in capsys.readouterr().err
@@ -434,7 +437,7 @@ def test_a_stiffness_that_the_protocol_does_not_allow_is_one_line(
 def test_naming_the_protocols_own_body_is_no_override(
     fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["run", "--policy", "hover", "--tasks", "T1", "--seeds", "0", "--out", "r"]
+    command = ["run", "--policy", "hover", "--protocol", "bathing-v3", "--tasks", "T1", "--seeds", "0", "--out", "r"]
     assert main(command) == 0
     assert main([*command, "--body", "man-adult"]) == 0
     assert " with body" not in capsys.readouterr().out
@@ -504,7 +507,15 @@ def _heeds_signals() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel kills worker and policy")
-@pytest.mark.parametrize("how", ["SIGKILL", "SIGQUIT", "closed terminal"])
+@pytest.mark.parametrize(
+    ("how", "sandbox"),
+    [
+        pytest.param(how, kind, marks=[] if kind == quick else pytest.mark.slow, id=f"{how} {kind}")
+        for how, quick in (("SIGKILL", "off"), ("SIGQUIT", ""), ("closed terminal", "off"))
+        for kind in ("", "off")
+    ],
+    indirect=["sandbox"],
+)
 def test_nothing_is_left_running(tmp_path: Path, how: str, sandbox: bool) -> None:
     (tmp_path / "message").mkdir()
     (tmp_path / "mine.py").write_text(PREAMBLE + POLICY)

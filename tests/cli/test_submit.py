@@ -26,7 +26,7 @@ from carecontact.runs.manifest import MANIFEST, write_manifest
 from carecontact.runs.results_file import RESULTS_NAME
 from tests.scoring.synthetic import hold, make_recording, target_segment
 
-RULES = load_protocol("bathing-wide-v2-draft", level="L2")
+RULES = load_protocol("bathing-wide-v2", level="L2")
 POLICY, SEED = "my_arm:Arm", 1000
 GIVEN = ["--name", "Arm", "--link", "https://example.org/arm", "--kind", "vision"]
 
@@ -87,7 +87,7 @@ def test_an_entry_has_the_numbers_of_the_run_beside_floor_and_ceiling(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["submit", "mine", "--out", "board/arm.json", *GIVEN]) == 0
-    assert "a draft exam, which ranks nothing" in capsys.readouterr().out
+    assert "a draft exam, which ranks nothing" not in capsys.readouterr().out
     written = Path("board/arm.json").read_bytes()
     entry = BoardEntry.model_validate_json(written)
     jsonschema.Draft202012Validator(schema_of(BoardEntry)).validate(json.loads(written))
@@ -97,7 +97,7 @@ def test_an_entry_has_the_numbers_of_the_run_beside_floor_and_ceiling(
     assert 0 < sum(passed) < len(passed) == 7
     (level,) = entry.levels
     assert (entry.method, entry.origin, entry.receives, entry.release) == ("vision", "isolated", ["rgb"], __version__)
-    assert (level.protocol, level.ranked, level.seeds) == ("bathing-wide-v2-draft L2", False, str(SEED))
+    assert (level.protocol, level.ranked, level.seeds) == ("bathing-wide-v2 L2", True, str(SEED))
     assert (level.passes.whole.n, level.passes.whole.of) == (sum(passed), 7)
     assert (level.passes.scrubs.n, level.passes.scrubs.of) == (sum(scrubs), 3)
     assert level.passes.others.of == 4
@@ -147,7 +147,7 @@ def test_edited_scores_are_refused(run: Path, capsys: pytest.CaptureFixture[str]
     assert main(["submit", "mine", "--out", "board/arm.json", *GIVEN]) == 0
 
 
-@pytest.mark.parametrize("entry", ["bathing-wide-v2-draft:0-26,990-1010", "bathing-wide-draft:1000"])
+@pytest.mark.parametrize("entry", ["bathing-wide-v2:0-26,990-1010", "bathing-wide-draft:1000"])
 def test_exam_persons_in_training_are_refused(run: Path, capsys: pytest.CaptureFixture[str], entry: str) -> None:
     trial = f"T5-s{SEED}"
     card = read_recording(run / f"{trial}.h5").header.card
@@ -164,9 +164,9 @@ def test_other_refusals_name_what_is_valid(run: Path, capsys: pytest.CaptureFixt
     assert "--name <script>: expected at most 60" in refusal(capsys, "--name", "<script>", *GIVEN[2:])
     for change, words in (
         (lambda plan: plan.update(policy="oracle"), "oracle is registered as privileged"),
-        (lambda plan: plan["protocol"].update(id="bathing-v3-draft"), "no exam of the board; valid: bathing-"),
+        (lambda plan: plan["protocol"].update(id="bathing-v3"), "no exam of the board; valid: bathing-"),
         (lambda plan: plan["protocol"].update(overrides={"physics.dt_s": "0.001"}), "(physics.dt_s = 0.001)"),
-        (lambda plan: plan["protocol"].update(sha256="1" * 64), "other rules under the id bathing-wide-v2-draft L2"),
+        (lambda plan: plan["protocol"].update(sha256="1" * 64), "other rules under the id bathing-wide-v2 L2"),
         (lambda plan: plan.update(salt_sha256="2" * 64), "another policy, protocol or salt than manifest.json"),
     ):
         kept = (run / MANIFEST).read_bytes()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import functools
 import json
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,9 +19,9 @@ from carecontact.protocol.protocol import TrialSpec
 from carecontact.running import supervisor
 from carecontact.running.supervisor import EventKind, Run, TrialEvent
 from carecontact.runs import scoring
+from tests.running.forked_fakes import FAKE, fork_fakes
 from tests.serving.served import WITHOUT_WAITING, served
 
-FAKE = (sys.executable, str(Path(__file__).parents[1] / "running" / "fake_worker.py"))
 PLAN = """
 tasks = "T1"
 seeds = "0-1"
@@ -34,6 +33,7 @@ policy = "hover"
 policy = "zero-action"
 
 [axes]
+protocol = ["bathing-v3"]
 body = ["man-adult", "woman-old-light"]
 """
 
@@ -41,6 +41,7 @@ body = ["man-adult", "woman-old-light"]
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.MonkeyPatch:
     monkeypatch.setattr(supervisor, "open_run", functools.partial(supervisor.open_run, worker_command=FAKE))
+    fork_fakes(monkeypatch)
     monkeypatch.setenv("FAKE_LOG", str(tmp_path / "ran.txt"))
     monkeypatch.setenv("FAKE_PLAN", "{}")
     monkeypatch.setenv("PYTHONPATH", str(Path(carecontact.__file__).parents[1]))
@@ -64,8 +65,8 @@ def test_a_sweep_is_a_run_for_each_cell_and_one_table(
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run", "--json"]) == 0
     lines = [SweepCellAnswer.model_validate_json(line) for line in capsys.readouterr().out.splitlines()]
     assert [(line.policy, line.values, line.trials, line.recorded) for line in lines[:2]] == [
-        ("hover", {"body": "man-adult"}, 2, 0), ("zero-action", {"body": "man-adult"}, 2, 0),
-    ]  # fmt: skip
+        (policy, {"protocol": "bathing-v3", "body": "man-adult"}, 2, 0) for policy in ("hover", "zero-action")
+    ]
     assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
     assert capsys.readouterr().out.count("2 trials\n") == 4
@@ -204,15 +205,15 @@ def test_a_piece_of_a_plan_is_a_beginning_of_the_whole(
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run", "--json"]) == 0
     lines = [SweepCellAnswer.model_validate_json(line) for line in capsys.readouterr().out.splitlines()]
     assert [(line.policy, line.values, line.trials, line.recorded) for line in lines[:2]] == [
-        ("hover", {"body": "man-adult"}, 2, 1), ("zero-action", {"body": "man-adult"}, 2, 1),
-    ]  # fmt: skip
+        (policy, {"protocol": "bathing-v3", "body": "man-adult"}, 2, 1) for policy in ("hover", "zero-action")
+    ]
     assert len(lines) == 4
     assert main(["sweep", "p.toml", "--out", "s", "--dry-run"]) == 0
     assert capsys.readouterr().out.count(": 2 trials, 1 recorded\n") == 4
     assert main(["sweep", "p.toml", "--out", "s"]) == 0
     assert ran() == 8
     assert main(["sweep", "p.toml", "--out", "s", "--seeds", "77"]) == 2
-    assert "plan p.toml: seeds: '77' contains seeds that bathing-v3-draft does not have" in capsys.readouterr().err
+    assert "plan p.toml: seeds: '77' contains seeds that bathing-v3 does not have" in capsys.readouterr().err
 
 
 def test_a_stopped_sweep_has_a_table_on_request(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -242,8 +243,8 @@ def test_one_noise_salt_serves_all_cells_that_have_noise(
     salt = "0123456789abcdef" * 2
     assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt]) == 2
     assert "--noise-salt: no protocol of this plan has sensor noise" in capsys.readouterr().err
-    levels = 'protocol = ["bathing-wide-v2-draft"]\nlevel = ["L1", "L2"]'
-    Path("p.toml").write_text(PLAN.replace('body = ["man-adult", "woman-old-light"]', levels))
+    levels = 'protocol = ["bathing-wide-v2"]\nlevel = ["L1", "L2"]'
+    Path("p.toml").write_text(PLAN.partition("protocol =")[0] + levels)
     assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt[1:]]) == 2
     assert "--noise-salt: expected 32 hexadecimal digits" in capsys.readouterr().err
     assert main(["sweep", "p.toml", "--out", "s", "--noise-salt", salt]) == 0
@@ -357,17 +358,13 @@ def test_a_wrong_plan_is_one_line_and_makes_no_folder(
 
 
 def test_a_sweep_tells_its_table_as_json(fake: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("p.toml").write_text(
-        PLAN.replace(
-            'body = ["man-adult", "woman-old-light"]', 'protocol = ["bathing-v3-draft", "bathing-wide-v2-draft L1"]'
-        )
-    )
+    Path("p.toml").write_text(PLAN.partition("protocol =")[0] + 'protocol = ["bathing-v3", "bathing-wide-v2 L1"]')
     assert main(["sweep", "p.toml", "--out", "s", "--json"]) == 0
     out = capsys.readouterr()
     (line,) = out.out.splitlines()
     answer = json.loads(line)
     assert (answer["schema"], answer["trials"], answer["planned"]) == ("carecontact-sweep-1", 8, 8)
-    assert [rung["value"] for rung in answer["ladder"]["rungs"]] == ["bathing-v3-draft", "bathing-wide-v2-draft L1"]
+    assert [rung["value"] for rung in answer["ladder"]["rungs"]] == ["bathing-v3", "bathing-wide-v2 L1"]
     assert {climb["role"] for rung in answer["ladder"]["rungs"] for climb in rung["climbs"]} == {"blind"}
     assert "table: s/sweep.html" in out.err
     assert "Success over level" in Path("s/sweep.html").read_text()

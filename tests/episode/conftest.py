@@ -12,13 +12,13 @@ from carecontact.sim.simulation import Simulation
 
 @pytest.fixture(scope="session")
 def t1() -> TrialSpec:
-    return TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="blind")
+    return TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="blind")
 
 
 @pytest.fixture(scope="session")
 def parked_world() -> Callable[[TrialSpec], World]:
     """The same settled world of T1 for every episode."""
-    simulation, settled, sha256 = settled_world(load_protocol(), task_id="T1", seed=0)
+    simulation, settled, sha256 = settled_world(load_protocol("bathing-v3"), task_id="T1", seed=0)
     state = simulation.integration_state()
 
     def prepare(spec: TrialSpec) -> World:

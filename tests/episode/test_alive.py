@@ -38,7 +38,7 @@ CARD = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
 
 
 def living(alive: Alive) -> Protocol:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     drawn = protocol.randomization.model_copy(update={"drawn_as": DRAWN_AS})
     person = protocol.person.model_copy(update={"alive": alive})
     return protocol.model_copy(update={"person": person, "randomization": drawn})

@@ -68,7 +68,7 @@ def test_without_touch_the_tool_is_at_its_target_and_the_camera_on_the_hand_with
 
 @pytest.mark.parametrize("level", ["L0", pytest.param("L1", marks=pytest.mark.slow)])
 def test_the_shuffled_look_shows_another_person_of_the_same_task(level: str) -> None:
-    spec = TrialSpec(protocol=load_protocol("bathing-wide-v2-draft", level=level), task_id="T1", seed=0, policy="p")
+    spec = TrialSpec(protocol=load_protocol("bathing-wide-v2", level=level), task_id="T1", seed=0, policy="p")
     plain, _ = two_looks(spec, "")
     shuffled, _ = two_looks(spec, "shuffled-look")
     other, _ = two_looks(spec.model_copy(update={"salt": SALT}), "")

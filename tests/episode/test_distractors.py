@@ -46,8 +46,8 @@ def test_they_change_no_bit_of_what_moves() -> None:
         goal = simulation.control.target_in_base.copy()
         goal[:3] = simulation.encoders.in_base(simulation.data, site.xpos, np.eye(3))[:3, 3] + [0.0, 0.0, 0.02]
         simulation.start()
-        simulation.set_goal(goal, 2.0)
-        samples = simulation.advance(1500)
+        simulation.set_goal(goal, 4.0)
+        samples = simulation.advance(2500)
         states += [start, simulation.integration_state()]
         forces.append(np.concatenate([s.force for s in samples]))
         simulation.put_back(start)

@@ -122,7 +122,7 @@ def test_python_runs_once_a_target_period(parked_world: Callable[[TrialSpec], Wo
 
 # Random legal commands on L3: nothing breaks, and the robot that the recording shows is never fast.
 
-PROTOCOL = load_protocol("bathing-wide-v2-draft", level="L3")
+PROTOCOL = load_protocol("bathing-wide-v2", level="L3")
 STOP_M_S = STOPPED_OVER * PROTOCOL.physics.max_tcp_speed_m_s
 CARD = PolicyCard(name="legal", cameras=(), control_hz=5)
 ACTIONS = 25

@@ -60,7 +60,7 @@ BLIND = PolicyCard(name="blind", cameras=(), control_hz=50)
 
 
 def spec(policy: str = "blind") -> TrialSpec:
-    return TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=policy)
+    return TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy=policy)
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ def test_a_loop_and_a_trial_s_process_make_the_same_recording(
 
 def test_what_step_says_is_how_it_ended(again: Callable[[TrialSpec], World], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     short = protocol.model_copy(update={"phases": protocol.phases.model_copy(update={"time_limit_s": 0.05})})
     with Episode(spec().model_copy(update={"protocol": short}), card=BLIND, prepare=again) as episode:
         first = episode.reset()
@@ -149,7 +149,7 @@ def test_a_card_that_clips_is_counted(again: Callable[[TrialSpec], World], monke
 
 
 def test_mistakes_of_a_loop_are_named(again: Callable[[TrialSpec], World]) -> None:
-    with pytest.raises(ConfigError, match="no task 'T99' in bathing-v3-draft; valid: T1, T2"):
+    with pytest.raises(ConfigError, match="no task 'T99' in bathing-v3; valid: T1, T2"):
         Episode(spec().model_copy(update={"task_id": "T99"}), card=BLIND, prepare=again)
     with Episode(spec(), card=BLIND, prepare=again) as episode:
         episode.reset()
@@ -249,7 +249,7 @@ def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> N
     looks = {"appearance": "varied-v1", "light": "varied-v1", "depth_noise": "structured-light-v1"}
     place = {"place_along_m": 0.04, "place_across_m": 0.03, "place_yaw_deg": 5.0}
     variation = Variation.model_validate({**looks, **place, "encoder_noise_rad": 0.003})
-    protocol = load_protocol().model_copy(update={"variation": variation})
+    protocol = load_protocol("bathing-v3").model_copy(update={"variation": variation})
     (tmp_path / "look_once.py").write_text(FIRST_LOOK_POLICY)
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=2, policy="look_once:Once")
     recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]))
@@ -264,7 +264,7 @@ def test_it_is_what_the_trial_shows_with_every_variation_on(tmp_path: Path) -> N
     assert recording["wall/report_renders"].tolist() == [2]
     assert perception_errors(recording) is None
 
-    plain = first_look(load_protocol(), task_id="T1", seed=2, card=card)
+    plain = first_look(load_protocol("bathing-v3"), task_id="T1", seed=2, card=card)
     away = seen.joint_position - plain.joint_position
     assert 0.0005 < np.abs(away).mean() < 0.01
     # The hand's pose and its camera follow the encoders, wrong as they are.

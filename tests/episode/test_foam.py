@@ -30,7 +30,7 @@ from carecontact.sim.simulation import Simulation
 from tests.protocol.foamy import FOAMY, LEVELS, with_foam
 
 CARD = PolicyCard(name="wipe", modalities=("rgb", "depth"), cameras=("overhead",), control_hz=20.0)
-STILL = with_foam(load_protocol("bathing-wide-v2-draft", level="L0"))
+STILL = with_foam(load_protocol("bathing-wide-v2", level="L0"))
 """One person in one place: what wiping does to foam does not depend on that."""
 GOLDEN = Path(__file__).parents[1] / "data" / "foam_fades.png"
 """(64, 128) the foam in the overhead picture before and after wiping."""

@@ -304,7 +304,9 @@ FOREARM = SEGMENTS.index("right_forearm")
 @pytest.fixture(scope="module")
 def press() -> Recording:
     """Down onto the forearm's middle and 30 mm along it."""
-    with Episode(TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="press"), card=CARD) as episode:
+    with Episode(
+        TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="press"), card=CARD
+    ) as episode:
         first = episode.reset()
         site = episode.simulation.data.site("region_forearm")
         along, outward = site.xmat.reshape(3, 3)[:, 0], np.array([0.0, 0.0, 1.0])

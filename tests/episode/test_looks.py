@@ -119,7 +119,7 @@ SIZE_PX = 64
 
 
 def trial(asked: PolicyCard, actions: list[Action]) -> tuple[Recording, list[Observation]]:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     size = {"width": SIZE_PX, "height": SIZE_PX}
     small = {name: camera.model_copy(update=size) for name, camera in protocol.cameras.items()}
     protocol = protocol.model_copy(update={"cameras": small})

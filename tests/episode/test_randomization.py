@@ -37,7 +37,7 @@ from carecontact.tissue.plugin import Law
 from carecontact.world import randomization
 from carecontact.world.randomization import STREAMS, arm_bias_of, posture_of
 
-SHIPPED = load_protocol("bathing-v3-draft")
+SHIPPED = load_protocol("bathing-v3")
 PROTOCOL = SHIPPED.model_copy(update={"randomization": SHIPPED.randomization.model_copy(update={"drawn_as": ""})})
 """Seeds draw from its own id."""
 SEEDS = PROTOCOL.randomization.seeds
@@ -183,7 +183,7 @@ def test_policy_stream_of_one_seed_says_nothing_about_the_next() -> None:
 
 # A trial whose seed draws how stiff the person's tissue is, and what its recording says of it.
 
-DRAWN = overridden(load_protocol(), {"variation.tissue": "published-v1"})
+DRAWN = overridden(load_protocol("bathing-v3"), {"variation.tissue": "published-v1"})
 COLUMNS = [field.name for field in fields(Law)]
 
 
@@ -203,14 +203,14 @@ def test_a_seed_draws_its_tissue_again_and_another_seed_another() -> None:
 
 
 def test_the_person_lies_as_without_the_draw_and_only_then_the_law_is_recorded() -> None:
-    plain, drawn = (settled_world(rules, task_id="T1", seed=0) for rules in (load_protocol(), DRAWN))
+    plain, drawn = (settled_world(rules, task_id="T1", seed=0) for rules in (load_protocol("bathing-v3"), DRAWN))
     np.testing.assert_array_equal(plain[0].integration_state(), drawn[0].integration_state())
     assert plain[2] == drawn[2], "the compiled model is the same: the draw belongs to the seed"
     assert "scorer/region_law" not in PersonLog(plain[0], "forearm").constants(plain[1])
 
 
 def test_a_recording_holds_the_law_of_a_body_of_another_build() -> None:
-    rules = overridden(load_protocol(), {"person.body": "woman-adult-heavy"})
+    rules = overridden(load_protocol("bathing-v3"), {"person.body": "woman-adult-heavy"})
     spec = TrialSpec(protocol=rules, task_id="T1", seed=0, policy="blind")
     card = PolicyCard(name="blind", modalities=(), cameras=(), control_hz=10)
     with Episode(spec, card=card) as episode:

@@ -68,7 +68,7 @@ def touched(recording: Recording) -> bool:
 
 
 def alive() -> TrialSpec:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     own = Alive(breathing=Breathing(), repositioning=Repositioning(), withdrawal=Withdrawal())
     noisy = Variation(depth_noise="structured-light-v1", encoder_noise_rad=1e-4, tissue="published-v1")
     person = protocol.person.model_copy(update={"alive": own})
@@ -291,7 +291,7 @@ def test_progress_is_what_the_score_would_say(parked_world: Prepare, t1: TrialSp
 def test_a_settled_world_begins_again_as_it_was_built(monkeypatch: pytest.MonkeyPatch) -> None:
     """The world of a trial itself, and not one that a test has put together."""
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
-    spec = TrialSpec(protocol=load_protocol(), task_id="T6", seed=0, policy="blind")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T6", seed=0, policy="blind")
     with Episode(spec, card=BLIND) as episode:
         once, again = roll(episode, actions=100), roll(episode, actions=100)
     simulation, settled, sha256 = settled_world(spec.protocol, task_id="T6", seed=0)

@@ -31,7 +31,7 @@ MODEL = ("body_mass", "body_inertia", "qpos0", "geom_size", "dof_damping", "jnt_
 
 
 def found() -> dict[str, Any]:
-    spec = TrialSpec(protocol=load_protocol("bathing-v3-draft"), task_id="T1", seed=0, policy="golden")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="golden")
     with Episode(spec, card=PolicyCard(name="golden", cameras=(), control_hz=20)) as episode:
         first, simulation = episode.reset(), episode.simulation
         model = {name: float(np.square(getattr(simulation.model, name)).sum()) for name in MODEL}

@@ -1,7 +1,7 @@
 """Recordings of real simulations keep every array and every score to the last bit.
 
-``T2-s000.h5`` is the blind replay on ``bathing-v3-draft``, judged by the gates of the paper. ``T3-s000.h5`` is the
-oracle on L3 of ``bathing-wide-v2-draft``, judged by the exam; the person breathes and moves. After a definition changed
+``T2-s000.h5`` is the blind replay on ``bathing-v3``, judged by the gates of the paper. ``T3-s000.h5`` is the
+oracle on L3 of ``bathing-wide-v2``, judged by the exam; the person breathes and moves. After a definition changed
 on purpose, run ``python -m tests.golden.test_simulated`` from the repository's root; it writes expected values only.
 """
 

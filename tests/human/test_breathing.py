@@ -22,7 +22,7 @@ from carecontact.world.scene import Scene, build_scene
 
 
 def living(alive: Alive, protocol: Protocol | None = None) -> Protocol:
-    protocol = protocol or load_protocol()
+    protocol = protocol or load_protocol("bathing-v3")
     return protocol.model_copy(update={"person": protocol.person.model_copy(update={"alive": alive})})
 
 
@@ -33,7 +33,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def heavy() -> Scene:
-    rules = overridden(load_protocol(), {"person.body": "man-old-heavy"})
+    rules = overridden(load_protocol("bathing-v3"), {"person.body": "man-old-heavy"})
     return build_scene(living(Alive(breathing=Breathing()), rules), target="abdomen")
 
 
@@ -78,11 +78,11 @@ def test_the_plates_of_the_chest_ride_on_its_slide(scene: Scene) -> None:
 
 
 def test_a_person_that_does_nothing_has_none_of_it() -> None:
-    still = build_scene(load_protocol(), target="forearm", skin=False).model
+    still = build_scene(load_protocol("bathing-v3"), target="forearm", skin=False).model
     assert not Life.exists(still)
     assert {still.actuator(k).name.partition("_")[0] for k in range(still.nu)} == {"impedance"}
     assert {still.body(k).name for k in range(still.nbody)}.isdisjoint({breath_body(p) for p in PARTS})
-    assert still.nplugin == len(load_protocol().soft_regions)
+    assert still.nplugin == len(load_protocol("bathing-v3").soft_regions)
 
 
 def test_only_what_is_asked_for_is_built() -> None:
@@ -123,7 +123,7 @@ def test_skin_over_a_heavy_chest_moves_with_the_plates_and_nothing_beside_them(h
 
 
 def test_skin_lies_as_it_did_while_nothing_is_breathed(heavy: Scene) -> None:
-    rules = overridden(load_protocol(), {"person.body": "man-old-heavy"})
+    rules = overridden(load_protocol("bathing-v3"), {"person.body": "man-old-heavy"})
     still = build_scene(rules, target="abdomen")
     data = mujoco.MjData(still.model)
     mujoco.mj_kinematics(still.model, data)

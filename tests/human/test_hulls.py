@@ -35,7 +35,7 @@ from carecontact.world.scene import build_scene
 
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
-    return build_scene(load_protocol(), target="abdomen", skin=False).model
+    return build_scene(load_protocol("bathing-v3"), target="abdomen", skin=False).model
 
 
 @pytest.mark.parametrize("part", [*sorted(GIVES), BELLY_FLOOR])
@@ -119,7 +119,7 @@ def carriers(model: mujoco.MjModel, geoms: str) -> set[str]:
 
 
 def test_segments_with_their_plates_weigh_what_is_declared(model: mujoco.MjModel) -> None:
-    for segment, row in segment_inertias(load_body(load_protocol().person.body)).items():
+    for segment, row in segment_inertias(load_body(load_protocol("bathing-v3").person.body)).items():
         parts = [body_name(segment), *(plate_body(p.name) for p in plates_of(segment))]
         assert sum(float(model.body(name).mass[0]) for name in parts) == pytest.approx(row.mass_kg, rel=1e-9)
 

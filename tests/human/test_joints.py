@@ -118,20 +118,22 @@ def test_hinges_are_unique_passive_and_on_unit_axes(body: Body) -> None:
         assert row.range_source
 
 
-@pytest.mark.parametrize(
-    ("motion", "adult", "old"),
-    [("upper_arm_flexion", (-60, 180), (-44, 165)), ("upper_arm_abduction", (0, 180), (0, 165)),
-     ("upper_arm_rotation", (-90, 70), (-81, 62)), ("forearm_flexion", (0, 150), (4, 143)),
-     ("forearm_supination", (-80, 80), (-71, 74)), ("hand_flexion", (-70, 80), (-63, 64)),
-     ("hand_deviation", (-30, 20), (-26, 19)), ("thigh_flexion", (-15, 125), (-15, 125))],
-)  # fmt: skip
-def test_range_of_motion_goes_by_age(
-    body: Body, motion: str, adult: tuple[float, float], old: tuple[float, float]
-) -> None:
-    row = {row.name: row for row in hinges(body)}[f"right_{motion}"]
-    assert row.range_deg == (old if body.age_group == "old" else adult)
+RANGES = {
+    "upper_arm_flexion": ((-60, 180), (-44, 165)), "upper_arm_abduction": ((0, 180), (0, 165)),
+    "upper_arm_rotation": ((-90, 70), (-81, 62)), "forearm_flexion": ((0, 150), (4, 143)),
+    "forearm_supination": ((-80, 80), (-71, 74)), "hand_flexion": ((-70, 80), (-63, 64)),
+    "hand_deviation": ((-30, 20), (-26, 19)), "thigh_flexion": ((-15, 125), (-15, 125)),
+}  # fmt: skip
+"""Motion -> range of an adult and of an old person [deg]."""
+
+
+def test_range_of_motion_goes_by_age(body: Body) -> None:
+    rows = {row.name: row for row in hinges(body)}
     of_an_arm = "Walker" if body.age_group == "old" else "American Academy"
-    assert row.range_source.startswith("Merck" if motion.startswith("thigh") else of_an_arm)
+    for motion, (adult, old) in RANGES.items():
+        row = rows[f"right_{motion}"]
+        assert row.range_deg == (old if body.age_group == "old" else adult), motion
+        assert row.range_source.startswith("Merck" if motion.startswith("thigh") else of_an_arm), motion
 
 
 def test_a_straight_arm_has_an_elbow_too() -> None:
@@ -186,21 +188,21 @@ def test_at_zero_the_arm_hangs_straight(limb: Pose, side: str) -> None:
     assert degrees_between(posed.along(f"{side}_forearm"), -UP) < 3
 
 
-@pytest.mark.parametrize("angle", [30.0, 52.5, 90.0, 150.0])
 def test_abduction_lifts_the_arm_away_from_the_midline_in_the_frontal_plane(
-    limb: Pose, side: str, outward: np.ndarray, angle: float
+    limb: Pose, side: str, outward: np.ndarray
 ) -> None:
-    humerus = limb(upper_arm_abduction=angle).along(f"{side}_upper_arm")
-    expected = np.sin(np.radians(angle)) * outward - np.cos(np.radians(angle)) * UP
-    assert degrees_between(humerus, expected) < 1
+    for angle in (30.0, 52.5, 90.0, 150.0):
+        humerus = limb(upper_arm_abduction=angle).along(f"{side}_upper_arm")
+        expected = np.sin(np.radians(angle)) * outward - np.cos(np.radians(angle)) * UP
+        assert degrees_between(humerus, expected) < 1, angle
 
 
-@pytest.mark.parametrize("abduction", [0.0, 45.0, 90.0])
-def test_shoulder_flexion_lifts_the_arm_forward_and_extension_back(limb: Pose, side: str, abduction: float) -> None:
-    flexed = limb(upper_arm_abduction=abduction, upper_arm_flexion=90).along(f"{side}_upper_arm")
-    assert degrees_between(flexed, FRONT) < 1
-    extended = limb(upper_arm_abduction=abduction, upper_arm_flexion=-30).along(f"{side}_upper_arm")
-    assert extended @ FRONT == pytest.approx(-np.sin(np.radians(30)), abs=0.02)
+def test_shoulder_flexion_lifts_the_arm_forward_and_extension_back(limb: Pose, side: str) -> None:
+    for abduction in (0.0, 45.0, 90.0):
+        flexed = limb(upper_arm_abduction=abduction, upper_arm_flexion=90).along(f"{side}_upper_arm")
+        assert degrees_between(flexed, FRONT) < 1, abduction
+        extended = limb(upper_arm_abduction=abduction, upper_arm_flexion=-30).along(f"{side}_upper_arm")
+        assert extended @ FRONT == pytest.approx(-np.sin(np.radians(30)), abs=0.02), abduction
 
 
 def test_positive_shoulder_rotation_turns_the_bent_forearm_to_the_belly(
@@ -216,14 +218,14 @@ def test_positive_shoulder_rotation_turns_the_bent_forearm_to_the_belly(
     assert aside @ outward > 0.75
 
 
-@pytest.mark.parametrize("angle", [0.0, 12.0, 90.0, 140.0])
-def test_elbow_flexion_is_the_angle_between_the_bones_and_bends_forward(limb: Pose, side: str, angle: float) -> None:
-    posed = limb(forearm_flexion=angle)
-    upper, fore = posed.along(f"{side}_upper_arm"), posed.along(f"{side}_forearm")
-    # In the plane of flexion to a hair; between the bones the carrying angle counts too.
-    assert degrees_between(upper, fore) == pytest.approx(angle, abs=2)
-    assert np.degrees(np.arctan2(fore @ FRONT, fore @ -UP)) == pytest.approx(angle, abs=1.5)
-    assert fore @ FRONT == pytest.approx(np.sin(np.radians(angle)), abs=0.02)
+def test_elbow_flexion_is_the_angle_between_the_bones_and_bends_forward(limb: Pose, side: str) -> None:
+    for angle in (0.0, 12.0, 90.0, 140.0):
+        posed = limb(forearm_flexion=angle)
+        upper, fore = posed.along(f"{side}_upper_arm"), posed.along(f"{side}_forearm")
+        # In the plane of flexion to a hair; between the bones the carrying angle counts too.
+        assert degrees_between(upper, fore) == pytest.approx(angle, abs=2)
+        assert np.degrees(np.arctan2(fore @ FRONT, fore @ -UP)) == pytest.approx(angle, abs=1.5)
+        assert fore @ FRONT == pytest.approx(np.sin(np.radians(angle)), abs=0.02)
 
 
 def test_at_zero_supination_the_palm_faces_the_thigh(limb: Pose, body: Body, side: str, outward: np.ndarray) -> None:

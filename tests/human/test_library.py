@@ -56,7 +56,7 @@ def test_arms_of_the_t_pose_get_their_anatomical_angles(smplx: Body) -> None:
 
 
 def test_it_settles_like_a_shipped_body(smplx: Body) -> None:
-    protocol = overridden(load_protocol(), {"person.body": smplx.name})
+    protocol = overridden(load_protocol("bathing-v3"), {"person.body": smplx.name})
     simulation = Simulation(build_scene(protocol, target=None, skin=False))
     settled = simulation.settle(52.5)
     assert settled.comfort_arm_deg == pytest.approx(52.5, abs=1)

@@ -91,7 +91,7 @@ ARM = "right_upper_arm"
 
 
 def scene_of(body: str) -> Scene:
-    return build_scene(overridden(load_protocol(), {"person.body": body}), target=None, skin=False)
+    return build_scene(overridden(load_protocol("bathing-v3"), {"person.body": body}), target=None, skin=False)
 
 
 def test_the_chests_of_heavy_bodies_crowd_the_arm_and_that_of_man_adult_does_not() -> None:

@@ -30,7 +30,7 @@ from carecontact.system import CACHE_VARIABLE
 from carecontact.world.scene import region_shell
 from tests.human.conftest import SOME_QUICK
 
-TISSUE = load_protocol().person.tissue
+TISSUE = load_protocol("bathing-v3").person.tissue
 FRONT = np.array([0.0, -1.0, 0.0])
 
 
@@ -251,7 +251,7 @@ def inside(body: Body, points: np.ndarray) -> np.ndarray:
     return out
 
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 BODY, FOREARM = load_body(PROTOCOL.person.body), PROTOCOL.person.tissue["forearm"]
 
 

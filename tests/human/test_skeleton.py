@@ -111,7 +111,7 @@ def skin_in_world(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return np.asarray(scene.skinvert).reshape(-1, 3)[: model.nskinvert].astype(np.float64)
 
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 QUICK = ("woman-old-light", "man-adult-heavy")
 EVERY = [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in body_names()]
 

@@ -31,7 +31,7 @@ from carecontact.sim.bench import Bench, Indenter
 from carecontact.tissue.plugin import Mesh
 from carecontact.world.scene import build_scene, region_shell
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 ROWS, TOOL = PROTOCOL.person.tissue, Indenter(shape="cap")
 
 
@@ -216,7 +216,7 @@ def test_a_stiffened_law_is_as_far_from_critical_and_as_convex() -> None:
 
 
 def test_the_world_has_the_tissue_of_its_body() -> None:
-    rules = overridden(load_protocol(), {"person.body": "man-adult-heavy"})
+    rules = overridden(load_protocol("bathing-v3"), {"person.body": "man-adult-heavy"})
     scene = build_scene(rules, target=None, skin=False)
     for name, region in scene.regions.items():
         assert region.tissue == tissue_of(scene.body, name, rules.person.tissue[name])

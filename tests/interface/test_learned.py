@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from carecontact.errors import ActionError
 from carecontact.interface.deltas import DELTAS
 from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, quat_from_matrix
-from carecontact.interface.learned import AGENT_POS, DOWN, MOST, LearnedActions, rotation_6d
+from carecontact.interface.learned import AGENT_POS, DOWN, MOST, LearnedActions, rotation_6d, square
 from carecontact.interface.observation import Observation
 from carecontact.interface.robot import ActionBounds
 
@@ -116,3 +116,12 @@ def test_what_is_no_row_is_refused(row: list[float]) -> None:
     with pytest.raises(ActionError, match=r"^action: expected 7 finite numbers, got \["):
         rows.action(row)
     np.testing.assert_array_equal(rows.target, POSE)
+
+
+def test_the_middle_of_a_picture_is_averaged() -> None:
+    picture = np.zeros((4, 8, 3), np.uint8)
+    picture[:, 2:4] = 100  # the left half of the middle square
+    picture[:, :2] = picture[:, 6:] = 255
+    np.testing.assert_array_equal(square(picture, 2)[..., 0], [[100, 0], [100, 0]])
+    picture[:, 4] = 50
+    np.testing.assert_array_equal(square(picture, 2)[..., 0], [[100, 25], [100, 25]])

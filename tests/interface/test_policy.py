@@ -65,6 +65,7 @@ NAMES_THE_PANDA = {
     "sensing/builder.py": "cites what its measured speeds are derived from",
     "serving/cartesian.py": "cites a file of LIBERO's robots",
     "serving/openpi.py": "DROID's messages give the flange of its robot",
+    "policies/hold.py": "the shipped policies keep its hand and last links clear of the person",
     "policies/motion.py": "the shipped policies keep its tool clear of the person",
     "policies/state_machine.py": "the shipped policies know how far it reaches",
 }
@@ -84,7 +85,7 @@ def test_the_shipped_protocols_park_it_inside_them(name: str) -> None:
 
 
 def test_the_draft_parks_it_at_its_own_posture() -> None:
-    assert load_protocol("bathing-v3-draft").scene.parked_joint_rad == PANDA.parked_joint_rad
+    assert load_protocol("bathing-v3").scene.parked_joint_rad == PANDA.parked_joint_rad
 
 
 @pytest.mark.parametrize("robot", EMBODIMENTS.values(), ids=list(EMBODIMENTS))
@@ -328,8 +329,8 @@ def test_what_is_no_variant_stays_part_of_the_name(variant: str) -> None:
 
 
 def test_a_card_names_on_whom_the_policy_was_trained() -> None:
-    card = PolicyCard(name="p", trained_on=("ab" * 32, "bathing-wide-v2-draft:0-26,30"))
-    assert card.plain()["trained_on"] == ["ab" * 32, "bathing-wide-v2-draft:0-26,30"]
+    card = PolicyCard(name="p", trained_on=("ab" * 32, "bathing-wide-v2:0-26,30"))
+    assert card.plain()["trained_on"] == ["ab" * 32, "bathing-wide-v2:0-26,30"]
     assert "trained_on" not in PolicyCard(name="p").plain()
     for wrong in ("0-26", ("0-26",), ("exam:",), ("exam:0 to 3",), (3,), ("AB" * 32,)):
         with pytest.raises(ContractError, match=r"PolicyCard.trained_on: expected .*PROTOCOL:SEEDS"):

@@ -16,6 +16,7 @@ from carecontact.episode.episode import Episode
 from carecontact.episode.perception import Peak
 from carecontact.errors import ActionError, ConfigError, UnknownNameError
 from carecontact.interface.action import Action
+from carecontact.interface.learned import square
 from carecontact.interface.policy import PolicyCard
 from carecontact.learn import LEVELS, TASKS, TRAINING_SALT, Bathing, BathingState, make_vec
 from carecontact.learn.bathing import POINTS
@@ -25,6 +26,7 @@ from carecontact.protocol.protocol import commitment
 from carecontact.recording import Recording, canonical_hash
 from carecontact.runs.pooling import check_ranked
 from carecontact.scoring import score_recording
+from carecontact.sensing.builder import organised_points
 
 DOWNWARD = np.array([0.2, 0, -0.5, 0, 0, 0, -1], np.float32)
 DONE = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
@@ -84,7 +86,7 @@ def test_gymnasium_finds_nothing_to_warn_of_anywhere(env_id: str) -> None:
 
 def test_the_ids_are_every_task_on_every_level() -> None:
     assert {name for name in gym.registry if name.startswith("carecontact/")} == set(IDS)
-    exam = load_protocol("bathing-wide-v2-draft", level="L1")
+    exam = load_protocol("bathing-wide-v2", level="L1")
     assert tuple(task.id for task in exam.tasks) == TASKS
     assert tuple(exam.levels) == LEVELS
 
@@ -224,15 +226,18 @@ def test_the_pictures_are_those_of_an_episode() -> None:
         after = episode.step(Action(pose_tcp_in_base=look.pose_tcp_in_base)).observation
     assert after is not None
     for name in ("overhead", "wrist"):
-        np.testing.assert_array_equal(pictures["pixels"][name], look.cameras[name].rgb)
-        np.testing.assert_array_equal(others[f"pixels.{name}"], look.cameras[name].rgb)
+        np.testing.assert_array_equal(pictures["pixels"][name], square(look.cameras[name].rgb, 64))
+        np.testing.assert_array_equal(others[f"pixels.{name}"], square(look.cameras[name].rgb, 64))
         assert pictures["pixels"][name].std() > 10
     moved = nested.step(np.zeros(7))[0]
-    np.testing.assert_array_equal(moved["pixels"]["overhead"], after.cameras["overhead"].rgb)
-    cloud, whole = pictures["points"], look.cameras["overhead"].points
-    assert whole is not None
+    np.testing.assert_array_equal(moved["pixels"]["overhead"], square(after.cameras["overhead"].rgb, 64))
+    cloud, depth = pictures["points"], look.cameras["overhead"].depth
+    assert depth is not None
+    assert depth.shape == (480, 640), "a policy of the exam is given the same"
     assert cloud.shape == (POINTS, 6)
-    assert {tuple(point) for point in cloud[:, :3]} <= {tuple(point) for point in whole}
+    whole = organised_points(depth, look.cameras["overhead"].intrinsics, look.cameras["overhead"].pose_camera_in_base)
+    apart = np.abs(whole.reshape(-1, 3)[:, None] - cloud[None, :8, :3]).max(-1)
+    assert (np.nanmin(apart, axis=0) < 1e-6).all()
     impedance = nested.protocol.impedance
     assert (cloud[:, :3] >= impedance.workspace_low_m).all()
     assert (cloud[:, :3] <= impedance.workspace_high_m).all()

@@ -65,7 +65,7 @@ def test_a_motion_that_lost_the_person_is_planned_again_while_there_is_time(
 ) -> None:
     planned: list[object] = []
     monkeypatch.setattr(Oracle, "_planned", lambda self, start: planned.append(start) or Ends(succeeded))
-    oracle = Oracle(simulation, load_protocol().task("T1"), BOUNDS)
+    oracle = Oracle(simulation, load_protocol("bathing-v3").task("T1"), BOUNDS)
     seen = replace(synthetic_observation(), sim_time_s=share * simulation.protocol.phases.time_limit_s)
     first = oracle.act(seen)
     assert first.done is done
@@ -78,7 +78,7 @@ def test_a_motion_that_lost_the_person_is_planned_again_while_there_is_time(
 
 
 def test_a_region_that_it_does_not_know_ends_the_trial_untouched(simulation: Simulation) -> None:
-    task = load_protocol().task("T1").model_copy(update={"region": "left_shank"})
+    task = load_protocol("bathing-v3").task("T1").model_copy(update={"region": "left_shank"})
     oracle = Oracle(simulation, task, BOUNDS)
     assert oracle.act(synthetic_observation()).done
     assert "left_shank" in str(oracle.take_notes()["ended_without_touching"])
@@ -88,7 +88,7 @@ ALIVE = Alive(breathing=Breathing(abdomen_m=(0.015, 0.015)), repositioning=Repos
 
 
 def test_it_feels_the_force_with_the_steps_of_the_fast_mode_too() -> None:
-    protocol = overridden(load_protocol(), {"physics.dt_s": FAST_DT_S})
+    protocol = overridden(load_protocol("bathing-v3"), {"physics.dt_s": FAST_DT_S})
     recording = run_trial(TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="oracle"))
     assert recording.header.ended == "done"
     assert score_recording(recording).safety_gated
@@ -96,7 +96,7 @@ def test_it_feels_the_force_with_the_steps_of_the_fast_mode_too() -> None:
 
 @pytest.mark.parametrize("task", ["T2", pytest.param("T7", marks=pytest.mark.slow)])
 def test_it_does_the_task_on_a_person_who_breathes_and_moves(task: str, tmp_path: Path) -> None:
-    moved = load_protocol("bathing-wide-v2-draft", level="L1")
+    moved = load_protocol("bathing-wide-v2", level="L1")
     protocol = moved.model_copy(update={"person": moved.person.model_copy(update={"alive": ALIVE})})
     recording = run_trial(TrialSpec(protocol=protocol, task_id=task, seed=0, policy="oracle"))
     write_recording(recording, tmp_path / "a.h5")
@@ -150,7 +150,7 @@ def test_it_takes_no_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def short():
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     return protocol.model_copy(update={"phases": protocol.phases.model_copy(update={"time_limit_s": 0.1})})
 
 
@@ -235,7 +235,7 @@ class Skin:
 
     def __init__(self, forces_n: list[float], *, sideways_n: float = 0.0) -> None:
         self.forces_n, self._sideways_n = forces_n, sideways_n
-        self.simulation = SimpleNamespace(protocol=load_protocol())
+        self.simulation = SimpleNamespace(protocol=load_protocol("bathing-v3"))
         self.pose = np.eye(4)
         self.met: np.ndarray | None = None
 
@@ -328,7 +328,7 @@ class Limb:
     """A limb that the tool finds at once, and whose wrist the person takes along."""
 
     def __init__(self, speed_m_s: float) -> None:
-        self.simulation = SimpleNamespace(protocol=load_protocol())
+        self.simulation = SimpleNamespace(protocol=load_protocol("bathing-v3"))
         self.at, self.step = np.zeros(3), np.array([speed_m_s / 20, 0.0, 0.0])
 
     def frame(self) -> np.ndarray:

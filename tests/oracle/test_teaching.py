@@ -30,7 +30,7 @@ def episode(card: PolicyCard | None = None, *, seed: int = 0, task: str = "T1") 
         control=SimpleNamespace(target_in_base=PARKED),
         encoders=SimpleNamespace(pose_tcp_in_base=lambda data: pose),
     )
-    spec = TrialSpec(protocol=load_protocol(), task_id=task, seed=seed, policy="p")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id=task, seed=seed, policy="p")
     return SimpleNamespace(
         card=card or PolicyCard(name="p", control_hz=20),
         spec=spec,

@@ -40,7 +40,12 @@ def forearm(observation: Observation) -> RegionGeometry:
     return region_from_observation(observation, "forearm")
 
 
-def foamed(observation: Observation, region: RegionGeometry, colour: tuple[int, int, int]) -> Observation:
+def foamed(
+    observation: Observation,
+    region: RegionGeometry,
+    colour: tuple[int, int, int],
+    half_m: tuple[float, float] = HALF_M,
+) -> Observation:
     """The same picture in grey, with an oval of foam on the region and a larger one far from it."""
     view = observation.cameras["overhead"]
     assert view.depth is not None
@@ -50,7 +55,7 @@ def foamed(observation: Observation, region: RegionGeometry, colour: tuple[int, 
     rgb = np.full((*view.depth.shape, 3), 150, np.uint8)
     off = place - region.surface(ALONG_M)
     across = np.cross([0.0, 0.0, 1.0], region.axis)
-    rgb[np.hypot(off @ region.axis / HALF_M[0], off @ across / HALF_M[1]) < 1] = colour
+    rgb[np.hypot(off @ region.axis / half_m[0], off @ across / half_m[1]) < 1] = colour
     rgb[:40, :40] = colour
     return replace(observation, cameras={"overhead": replace(view, rgb=rgb)})
 

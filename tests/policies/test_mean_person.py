@@ -16,7 +16,7 @@ from carecontact.policies.replay import read_donors
 from carecontact.protocol.load import load_protocol
 from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation, synthetic_view
 
-PROTOCOL = load_protocol("bathing-v3-draft")
+PROTOCOL = load_protocol("bathing-v3")
 CAMERA = read_donors()[PROTOCOL.tasks[0].prompt].pose_camera_in_base
 """As the overhead camera stands to the robot in the protocols of which the mean was taken."""
 

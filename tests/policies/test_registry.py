@@ -54,7 +54,7 @@ def test_every_registered_policy_keeps_the_contract(name: str) -> None:
     with PolicyProcess(PolicySetup.of(name), first_deadline_s=20, deadline_s=20) as process:
         card = process.start()
         assert card.name.replace("_", "-") == name
-        process.reset(load_protocol().tasks[0].prompt, SESSION)
+        process.reset(load_protocol("bathing-v3").tasks[0].prompt, SESSION)
         view = _blind(synthetic_view(), card.modalities)
         reply = process.act(synthetic_observation(cameras=dict.fromkeys(card.cameras, view)))
     assert reply.actions
@@ -136,7 +136,7 @@ def test_the_readme_shows_the_example() -> None:
 def test_the_own_loop_makes_the_recording_of_a_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     loop, my_policy = (importlib.import_module(name) for name in ("own_loop", "my_policy"))
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="my_policy:MyPolicy")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="my_policy:MyPolicy")
     mine = loop.run(spec, my_policy.MyPolicy())
     trial = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(EXAMPLES)]))
     assert canonical_hash(mine) == canonical_hash(trial)
@@ -171,7 +171,7 @@ def test_the_example_look_and_press_looks_twice_and_presses_with_three_newtons_b
     """In its own process, over the wire."""
     source = (EXAMPLES / "look_and_press.py").read_text()
     assert len(source.splitlines()) < 80
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="look_and_press:Press")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="look_and_press:Press")
     recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(EXAMPLES)]))
     assert recording.header.ended == "done", recording.header.failure
     assert score_recording(recording).safety_gated

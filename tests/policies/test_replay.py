@@ -16,7 +16,7 @@ from carecontact.protocol.load import load_protocol
 from tests.policies.synthetic import synthetic_observation, synthetic_view
 from tests.protocol.foamy import FOAMY
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 
 
 @pytest.mark.parametrize("task", PROTOCOL.tasks, ids=lambda task: task.id)
@@ -42,9 +42,10 @@ def test_tasks_differ() -> None:
     assert len({donor.actions.tobytes() for donor in read_donors().values()}) == len(PROTOCOL.tasks)
 
 
-@pytest.mark.parametrize("name", ["actions", "bathing-wide-L2"])
-def test_a_shipped_donor_has_a_name_and_every_task(name) -> None:
-    assert read_donors(Path(name)).keys() == {task.prompt for task in PROTOCOL.tasks}
+@pytest.mark.parametrize(("name", "protocol"), [("actions", "bathing-v3"), ("bathing-wide-L2", "bathing-wide-v2")])
+def test_a_shipped_donor_has_a_name_and_every_task(name: str, protocol: str) -> None:
+    rules = load_protocol(protocol)
+    assert read_donors(Path(name)).keys() == {rules.task(task.id).prompt for task in rules.tasks}
 
 
 def test_an_unknown_instruction_lists_what_there_is() -> None:

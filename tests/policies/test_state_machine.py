@@ -28,7 +28,7 @@ from tests.interface.lying_person import HEIGHT, LIMB_RADIUS, WIDTH, Person, cha
 from tests.policies.language.endpoint import endpoint, error, says
 
 MakeSession = Callable[..., Session]
-PROMPTS = [task.prompt for task in load_protocol().tasks]
+PROMPTS = [task.prompt for task in load_protocol("bathing-v3").tasks]
 
 
 def plan(observation: Observation, prompt: str, session: Session) -> list[Action]:

@@ -20,19 +20,17 @@ def test_a_protocol_without_foam_says_nothing_of_it() -> None:
             for name in ("foam", "distractors"):
                 if getattr(rules, name) is None:
                     assert name not in rules.model_dump(mode="json")
-                    assert f'"{name}"' not in rules.model_dump_json()
 
 
 def test_foam_brings_its_own_prompts_and_changes_the_hash() -> None:
-    plain = load_protocol("bathing-wide-v2-draft", level="L1")
+    plain = LEVELS["L0"]
     assert FOAMY.task("T1").prompt == "gently touch the foam on the right forearm"
     assert FOAMY.task("T2").prompt == plain.task("T2").prompt == "push the right forearm"
     assert [task.id for task in FOAMY.tasks if FOAMY.has_foam(task.id)] == ["T1", "T3", "T4", "T5", "T6", "T7"]
     assert plain.task("T1").prompt == "gently touch the right forearm"
     assert not plain.has_foam("T1")
     assert Protocol.model_validate(FOAMY.model_dump(mode="json")) == FOAMY
-    hashes = {FOAMY.sha256, FOAMY.model_copy(update={"foam": None}).sha256, plain.sha256}
-    assert len(hashes) == 3
+    assert FOAMY.model_copy(update={"foam": None}).sha256 != FOAMY.sha256
 
 
 @pytest.mark.parametrize(
@@ -62,7 +60,7 @@ def test_a_mistake_is_named(place: tuple[str, ...], value: Any, message: str) ->
 
 def test_foam_needs_the_exams_gates() -> None:
     content = FOAMY.model_dump(mode="json")
-    gates = load_protocol("bathing-v3-draft").gates.model_dump(mode="json")
+    gates = load_protocol("bathing-v3").gates.model_dump(mode="json")
     with pytest.raises(ValidationError, match=r"gates\.set: foam needs the exam's gates, got paper"):
         Protocol.model_validate(content | {"gates": gates | {"foam": content["gates"]["foam"]}})
 

@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from carecontact import protocol
+from carecontact.cli.groups import DEVELOPMENT_SEEDS, EXAM
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.protocol.load import (
+    DEFAULT_LEVEL,
     DEFAULT_PROTOCOL,
+    DEFAULT_SEEDS,
     load_levels,
     load_protocol,
     merged_table,
@@ -18,9 +21,8 @@ from carecontact.protocol.load import (
     toml_text,
 )
 from carecontact.protocol.overrides import load_tissue_set, overridden, without_overrides
-from tests.scoring.synthetic import GATES as EXAM_GATES
 
-TEXT = (resources.files(protocol) / f"{DEFAULT_PROTOCOL}.toml").read_text(encoding="utf-8")
+TEXT = (resources.files(protocol) / "bathing-v3.toml").read_text(encoding="utf-8")
 
 
 def written(folder: Path, text: str, name: str = "mine.toml") -> str:
@@ -67,8 +69,8 @@ def test_a_file_without_base_and_most_fields_gets_one_line(tmp_path: Path) -> No
     with pytest.raises(ConfigError) as caught:
         load_protocol(written(tmp_path, HEAD + "frozen = false\n"))
     assert str(caught.value).endswith(
-        'mine.toml: add base = "bathing-v3-draft" (valid: bathing-v3-draft, bathing-droid-draft, '
-        "bathing-wide-v2-draft, FILE.toml), or give all fields; 11 are missing: "
+        'mine.toml: add base = "bathing-wide-v2" (valid: bathing-wide-v2, bathing-droid-v1, '
+        "bathing-v3, FILE.toml), or give all fields; 11 are missing: "
         "physics, phases, randomization, scene, cameras, impedance, person, tasks, contact, gates, limits"
     )
 
@@ -158,7 +160,7 @@ def test_hash_does_not_change_with_comments_spacing_or_spelling(tmp_path: Path, 
 
 def test_hash_changes_with_a_prompt(tmp_path: Path) -> None:
     other = load_protocol(written(tmp_path, TEXT.replace("gently touch the abdomen", "gently touch the  abdomen")))
-    assert other.sha256 != load_protocol().sha256
+    assert other.sha256 != load_protocol("bathing-v3").sha256
 
 
 @pytest.mark.parametrize(
@@ -183,17 +185,17 @@ def test_a_file_does_not_claim_what_a_command_decides(claimed: str, message: str
 def test_a_neighbourhood_of_a_segment_that_no_body_has_is_refused(
     segments: str, where: str, why: str, tmp_path: Path
 ) -> None:
-    text = f'base = "{DEFAULT_PROTOCOL}"\nid = "mine"\ndescription = "x"\ncontact.neighbourhood.forearm = {segments}\n'
+    text = f'base = "bathing-v3"\nid = "mine"\ndescription = "x"\ncontact.neighbourhood.forearm = {segments}\n'
     with pytest.raises(ConfigError, match=rf"mine\.toml: (?s:.*)contact\.neighbourhood\.{where}: .*{why}"):
         load_protocol(written(tmp_path, text))
 
 
 # Protocol files with a base: what is inherited, what is replaced, and which file a mistake is in.
 
-BASE = load_protocol("bathing-v3-draft")
-WIDE = (resources.files("carecontact") / "protocol/bathing-wide-v2-draft.toml").read_text()
-EXAM = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0]
-INHERIT_HEAD = 'base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "Mine."\n'
+BASE = load_protocol("bathing-v3")
+WIDE = (resources.files("carecontact") / "protocol/bathing-wide-v2.toml").read_text()
+EXAM_TEXT = WIDE[WIDE.index("[gates]") : WIDE.index("[levels.L0]")].rpartition("#")[0]
+INHERIT_HEAD = 'base = "bathing-v3"\nid = "mine-v1"\ndescription = "Mine."\n'
 
 
 def test_a_file_that_says_nothing_else_is_its_base_under_another_name(tmp_path: Path) -> None:
@@ -216,12 +218,12 @@ def test_tasks_are_replaced_as_a_whole(tmp_path: Path) -> None:
 
 
 def test_a_shipped_protocol_in_a_few_lines(tmp_path: Path) -> None:
-    droid = load_protocol("bathing-droid-draft")
+    droid = load_protocol("bathing-droid-v1")
     joints = list(droid.scene.parked_joint_rad)
     camera = droid.cameras["exterior"]
     text = (
-        f'base = "bathing-v3-draft"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = false\n'
-        f'[randomization]\ndrawn_as = ""\n[scene]\nparked_joint_rad = {joints}\n'
+        f'base = "bathing-wide-v2"\nid = "{droid.id}"\ndescription = "{droid.description}"\nfrozen = true\n'
+        f"[scene]\nparked_joint_rad = {joints}\n"
         f"[cameras.exterior]\nposition_m = {list(camera.position_m)}\nlook_at_m = {list(camera.look_at_m)}\n"
         "up = [0, 0, 1]\nfovy_deg = 71.5\nwidth = 640\nheight = 360\n"
         "[cameras.wrist]\nfovy_deg = 57.0\nwidth = 640\nheight = 360\n"
@@ -240,15 +242,15 @@ def test_a_tissue_set_brings_its_own_rows(tmp_path: Path) -> None:
 
 
 def test_another_set_of_gates_inherits_none(tmp_path: Path) -> None:
-    found = load_protocol(written(tmp_path, INHERIT_HEAD + EXAM))
-    assert found.gates == EXAM_GATES
-    short = INHERIT_HEAD + EXAM.replace("duration_s = 1.0", "", 1)
+    found = load_protocol(written(tmp_path, INHERIT_HEAD + EXAM_TEXT))
+    assert found.gates == load_protocol(DEFAULT_PROTOCOL).gates
+    short = INHERIT_HEAD + EXAM_TEXT.replace("duration_s = 1.0", "", 1)
     with pytest.raises(ConfigError, match=r"gates\.touch\.duration_s: missing"):
         load_protocol(written(tmp_path, short))
 
 
 def test_a_field_that_this_set_of_gates_does_not_have_lists_those_that_they_have(tmp_path: Path) -> None:
-    text = INHERIT_HEAD + EXAM.replace("passes = 3", "passes = 3\nstroke_m = 0.1")
+    text = INHERIT_HEAD + EXAM_TEXT.replace("passes = 3", "passes = 3\nstroke_m = 0.1")
     with pytest.raises(
         ConfigError, match=r"stroke_m: no such field in the table gates\.scrub; valid: least_n, most_n,"
     ):
@@ -271,12 +273,12 @@ def test_a_base_may_have_a_base_and_lies_relative_to_its_heir(tmp_path: Path) ->
     [
         (
             'base = "bathing"\n',
-            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-draft, .*FILE\.toml",
+            r"mine\.toml: base: no protocol named 'bathing'.*; valid: bathing-droid-v1, .*FILE\.toml",
         ),
         ("base = 3\n", r"mine\.toml: base: expected the id of a protocol or a \.toml file, got 3"),
         ('base = "mine.toml"\n', r"mine\.toml: base: .*inherits from this file itself"),
         ('base = "gone.toml"\n', r"mine\.toml: base: .*gone\.toml does not exist"),
-        ('base = "bathing-v3-draft"\n', r"mine\.toml: 2 fields wrong\n  id: missing; .*\n  description: missing; "),
+        ('base = "bathing-v3"\n', r"mine\.toml: 2 fields wrong\n  id: missing; .*\n  description: missing; "),
         (f"{INHERIT_HEAD}[gates.touch]\nduration_s = -1\n", r"mine\.toml: gates\.touch\.duration_s: .*got -1"),
         (f"{INHERIT_HEAD}gates = 3\n", r"mine\.toml: gates: "),
     ],
@@ -308,7 +310,7 @@ def test_levels_add_up_and_are_named(tmp_path: Path) -> None:
     ("text", "level", "message"),
     [
         ("[levels.A]\n[levels.B]\n", None, "has the levels A, B; choose one with level"),
-        ("[levels.A]\n[levels.B]\n", "Bb", "no level named 'Bb'.*valid: A, B"),
+        ("[levels.L2]\n[levels.B]\n", "Bb", "no level named 'Bb'.*valid: L2, B"),
         ("", "A", "has no levels; leave level 'A' out"),
         ("[levels.A.gates.touch]\nduration_s = 1\n", "A", r"levels\.A\.gates: a level cannot change gates"),
         ("[levels.A.variation]\nspam = 1\n", "A", r"level A: variation\.spam: no such field"),
@@ -320,35 +322,40 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, level: str | None, me
         load_protocol(written(tmp_path, INHERIT_HEAD + text), level=level)
 
 
+def test_without_a_name_it_is_the_level_l2() -> None:
+    assert load_protocol(DEFAULT_PROTOCOL) == load_protocol(DEFAULT_PROTOCOL, level=DEFAULT_LEVEL)
+    assert (EXAM, DEVELOPMENT_SEEDS) == (DEFAULT_PROTOCOL, DEFAULT_SEEDS)
+
+
 def test_an_heir_has_the_levels_of_its_base(tmp_path: Path) -> None:
     heir = tmp_path / "heir.toml"
     heir.write_text(
-        'base = "bathing-wide-v2-draft"\nid = "heir"\ndescription = "h"\n[levels.L2.variation]\nplace_along_m=0.0\n'
+        'base = "bathing-wide-v2"\nid = "heir"\ndescription = "h"\n[levels.L2.variation]\nplace_along_m=0.0\n'
     )
-    own, base = load_levels(str(heir)), load_levels("bathing-wide-v2-draft")
+    own, base = load_levels(str(heir)), load_levels("bathing-wide-v2")
     assert list(own) == list(base)
     assert own["L1"].variation == base["L1"].variation
     assert own["L3"].variation.place_along_m == 0.0
 
 
 def test_a_chosen_body_is_not_drawn_and_is_taken_back() -> None:
-    rules = load_protocol("bathing-wide-v2-draft", level="L2")
+    rules = load_protocol("bathing-wide-v2", level="L2")
     changed = overridden(rules, {"person.body": "man-old-heavy"})
     assert (changed.person.body, list(changed.variation.bodies)) == ("man-old-heavy", [])
-    assert changed.title == "bathing-wide-v2-draft L2 with body man-old-heavy"
+    assert changed.title == "bathing-wide-v2 L2 with body man-old-heavy"
     assert without_overrides(changed, rules) == rules
 
 
 def test_the_exam_shares_its_persons() -> None:
-    found = load_levels("bathing-wide-v2-draft")
+    found = load_levels("bathing-wide-v2")
     first, *others = (found[name] for name in ("L1", "L2", "L3"))
     for other in others:
         assert other.randomization == first.randomization
         for name in ("bodies", "shoulder_rotation_deg", "palm_deg", "appearance", "light"):
             assert getattr(other.variation, name) == getattr(first.variation, name)
-    plain = load_protocol("bathing-v3-draft")
+    plain = load_protocol("bathing-v3")
     assert found["L0"].variation == plain.variation
-    assert found["L0"].scene == plain.scene
+    assert found["L0"].scene == plain.scene.model_copy(update={"tool": "mitt"})
     assert found["L0"].randomization.comfort_arm_deg == plain.randomization.comfort_arm_deg
 
 
@@ -376,7 +383,7 @@ def test_odd_values_keep_their_type() -> None:
 
 def test_a_file_with_a_base_comes_out_as_the_same_protocol(tmp_path: Path) -> None:
     heir = tmp_path / "mine.toml"
-    heir.write_text('base = "bathing-v3-draft"\nid = "mine-v1"\ndescription = "mine"\n[gates.touch]\nduration_s = 3\n')
+    heir.write_text('base = "bathing-v3"\nid = "mine-v1"\ndescription = "mine"\n[gates.touch]\nduration_s = 3\n')
     whole = tmp_path / "whole.toml"
     whole.write_text(toml_text(merged_table(str(heir))))
     assert load_protocol(str(whole)) == load_protocol(str(heir))

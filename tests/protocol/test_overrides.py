@@ -22,7 +22,7 @@ from carecontact.protocol.overrides import (
 from carecontact.protocol.person import Tissue
 from carecontact.protocol.protocol import Protocol, protocol_title
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 FOUR = {
     "person.body": "woman-old-light",
     "person.tissue_set": "human-published",
@@ -152,9 +152,7 @@ def test_a_tissue_set_without_a_row_that_the_protocol_needs_is_named(monkeypatch
     whole = load_tissue_set("human-published")
     part = whole.model_copy(update={"tissue": {"forearm": whole.tissue["forearm"]}})
     monkeypatch.setattr("carecontact.protocol.overrides.load_tissue_set", lambda *names: part)
-    with pytest.raises(
-        ConfigError, match="tissue set mine: no row for upper_arm, abdomen, which bathing-v3-draft needs"
-    ):
+    with pytest.raises(ConfigError, match="tissue set mine: no row for upper_arm, abdomen, which bathing-v3 needs"):
         overridden(PROTOCOL, {"person.tissue_set": "mine"})
 
 
@@ -169,7 +167,7 @@ def test_a_stiffness_outside_the_protocols_bounds_is_refused(value: str) -> None
         overridden(PROTOCOL, {"impedance.translational_n_m": value})
 
 
-RULES = load_protocol("bathing-v3-draft")
+RULES = load_protocol("bathing-v3")
 
 
 @pytest.mark.parametrize(("friction", "value"), [(k, s.coefficient) for k, s in SKIN_STATES.items()] + [("0.8", 0.8)])
@@ -187,7 +185,7 @@ def test_states_have_sources_and_lie_in_their_order() -> None:
 
 
 def test_a_title_says_one_friction_once() -> None:
-    assert overridden(RULES, friction_changes(RULES, "wet")).title == "bathing-v3-draft with friction 1"
+    assert overridden(RULES, friction_changes(RULES, "wet")).title == "bathing-v3 with friction 1"
     two = {"person.tissue.forearm.friction": "1", "person.tissue.abdomen.friction": "0.8"}
     assert protocol_title("x", two) == (
         "x with person.tissue.abdomen.friction 0.8 and person.tissue.forearm.friction 1"
@@ -202,7 +200,7 @@ def test_another_word_is_refused(friction: str) -> None:
 
 # Named tissue sets: what ships, what a user's own file must say, and how a protocol takes one.
 
-PROTOCOL_TISSUE_SETS = load_protocol()
+PROTOCOL_TISSUE_SETS = load_protocol("bathing-v3")
 ROW = """
 [tissue.forearm]
 a_n_m3 = 1.5e6

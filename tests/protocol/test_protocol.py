@@ -16,7 +16,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.person import Alive, Breathing, Repositioning
 from carecontact.protocol.protocol import Protocol, TrialSpec
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 DUMP = PROTOCOL.model_dump(mode="json")
 FieldPath = tuple[str | int, ...]
 
@@ -173,13 +173,13 @@ def test_task_by_id() -> None:
 
 @pytest.mark.parametrize("name", ["../T1", "a/b", "", ".", "T1\n", "-s", "T 1", "T1.h5", "x" * 65, "Ä"])
 def test_ids_that_name_files_name_them_in_the_runs_folder(name: str) -> None:
-    content = load_protocol().model_dump()
+    content = load_protocol("bathing-v3").model_dump()
     for place in (content, content["tasks"][0]):
         held, place["id"] = place["id"], name
         with pytest.raises(ValidationError, match="id"):
             Protocol.model_validate(content)
         place["id"] = held
-    assert Protocol.model_validate(content) == load_protocol()
+    assert Protocol.model_validate(content) == load_protocol("bathing-v3")
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_a_segmenter_and_its_weights_belong_together(vision: dict[str, str]) -> 
                {"calibration_m": 0.003}, {"calibration_deg": 0.2}]
 )  # fmt: skip
 def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object]) -> None:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     other = Protocol.model_validate({**protocol.model_dump(mode="json"), "variation": varied})
     assert other.sha256 != protocol.sha256
     assert Protocol.model_validate_json(other.model_dump_json()) == other
@@ -218,7 +218,7 @@ def test_variation_that_is_on_is_part_of_the_protocol(varied: dict[str, object])
 )
 def test_unknown_variations_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValidationError, match="variation"):
-        Protocol.model_validate({**load_protocol().model_dump(mode="json"), "variation": wrong})
+        Protocol.model_validate({**load_protocol("bathing-v3").model_dump(mode="json"), "variation": wrong})
 
 
 # The table ``person.alive`` of a protocol.
@@ -226,12 +226,12 @@ def test_unknown_variations_are_refused(wrong: dict[str, object]) -> None:
 
 def loaded(folder: Path, alive: str) -> Protocol:
     file = folder / "mine.toml"
-    file.write_text(f'base = "bathing-v3-draft"\nid = "mine"\ndescription = "x"\nfrozen = false\n{alive}')
+    file.write_text(f'base = "bathing-v3"\nid = "mine"\ndescription = "x"\nfrozen = false\n{alive}')
     return load_protocol(str(file))
 
 
 def test_what_the_person_does_is_part_of_the_hash() -> None:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     assert protocol.person.alive == Alive()
     moves = protocol.person.model_copy(update={"alive": Alive(manner="holds")})
     assert protocol.model_copy(update={"person": moves}).sha256 != protocol.sha256
@@ -266,7 +266,7 @@ def test_a_wrong_value_is_reported_with_what_would_be_valid(tmp_path: Path, tabl
         loaded(tmp_path, table)
 
 
-SPEC = TrialSpec(protocol=load_protocol(), task_id="T3", seed=7, policy="hover")
+SPEC = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T3", seed=7, policy="hover")
 
 
 def test_ids_sort_like_seeds_and_differ_in_task_and_seed() -> None:

@@ -92,12 +92,12 @@ def test_what_loading_does_not_check_is_in_order(protocol: Protocol) -> None:
 
 
 def test_in_the_protocol_of_the_paper_only_the_arm_changes() -> None:
-    assert load_protocol("bathing-v3-draft").variation == Variation()
+    assert load_protocol("bathing-v3").variation == Variation()
 
 
-# -- bathing-v3-draft: what the written definition of the benchmark says ----------------------------------------------
+# -- bathing-v3: what the written definition of the benchmark says ----------------------------------------------
 
-BATHING = load_protocol("bathing-v3-draft")
+BATHING = load_protocol("bathing-v3")
 
 
 def test_bathing_tasks() -> None:
@@ -210,13 +210,13 @@ def test_drift_that_a_run_announced(held: Protocol) -> None:
 
 
 def test_files_of_ones_own() -> None:
-    own = load_protocol("bathing-v3-draft").model_copy(update={"id": "mine-v1", "frozen": True})
+    own = load_protocol("bathing-v3").model_copy(update={"id": "mine-v1", "frozen": True})
     assert frozen_state(own).startswith("not verified as frozen: ")
     assert frozen_state(own.model_copy(update={"frozen": False})) == "draft"
 
 
 def test_a_draft_is_one_and_an_earlier_recording_is_not_verified() -> None:
-    draft = load_protocol("bathing-droid-draft")
+    draft = load_protocol("bathing-v3").model_copy(update={"id": "bathing-v4-draft", "frozen": False})
     assert frozen_state(draft) == "draft"
     assert frozen_state(softened(draft)) == "draft"
     earlier = draft.model_copy(update={"id": "bathing-v2", "frozen": True})

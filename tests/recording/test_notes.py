@@ -28,7 +28,7 @@ CALLS = [{"request_sha256": "a", "completion_sha256": "b"}, {"request_sha256": "
 
 
 def recording(notes: dict[str, object]) -> Recording:
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="x")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="x")
     base = harness_error_recording(spec, kind="x", message="x")
     arrays = {
         f"policy/notes/{name}": np.frombuffer(json.dumps(content).encode(), "u1") for name, content in notes.items()
@@ -83,7 +83,7 @@ def test_what_is_no_note_is_refused(notes: dict[str, object]) -> None:
 @pytest.fixture
 def old() -> Recording:
     """A recording without perception errors."""
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="zero-action")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="zero-action")
     return harness_error_recording(spec, kind="x", message="x")
 
 

@@ -22,7 +22,7 @@ DEEP_M = 0.022
 def press() -> Recording:
     """Two chunks of poses that end below the skin; the tool is there when the second look is made."""
     card = PolicyCard(name="press", modalities=("rgb", "depth"), cameras=("overhead",), control_hz=HZ)
-    spec = TrialSpec(protocol=load_protocol("bathing-v3-draft"), task_id="T1", seed=0, policy="press")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="press")
     with Episode(spec, card=card) as episode:
         first = episode.reset()
         data, region = episode.simulation.data, episode.simulation.scene.frames["forearm"]

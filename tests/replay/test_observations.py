@@ -14,7 +14,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TRAINING_SALT, TrialSpec
 from carecontact.recording import Recording
 from carecontact.recording.pictures import Pictures
-from carecontact.replay.dataset import Rendering, square
+from carecontact.replay.dataset import Rendering
 from carecontact.replay.observations import Resensed
 from carecontact.replay.replay import recorded_actions
 
@@ -27,7 +27,7 @@ STEPS = 6
 @pytest.fixture(scope="module", params=["L0", pytest.param("L2", marks=pytest.mark.slow)])
 def trained(request: pytest.FixtureRequest) -> tuple[Recording, list[np.ndarray], list[np.ndarray]]:
     """A trial of a person to train on, on L2 with noisy sensors, and the readings that its policy received."""
-    protocol = load_protocol("bathing-wide-v2-draft", level=request.param)
+    protocol = load_protocol("bathing-wide-v2", level=request.param)
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="p", salt=TRAINING_SALT)
     with Episode(spec, card=CARD) as episode:
         seen = episode.reset()
@@ -82,12 +82,3 @@ def test_rows_have_pictures_points_and_actions(
     assert clip.shape == (64, 64, 3)
     assert clip.histogram.sum() == 3 * STEPS * 64 * 64
     assert clip.path.stat().st_size > 0
-
-
-def test_the_middle_of_a_picture_is_averaged() -> None:
-    picture = np.zeros((4, 8, 3), np.uint8)
-    picture[:, 2:4] = 100  # the left half of the middle square
-    picture[:, :2] = picture[:, 6:] = 255
-    np.testing.assert_array_equal(square(picture, 2)[..., 0], [[100, 0], [100, 0]])
-    picture[:, 4] = 50
-    np.testing.assert_array_equal(square(picture, 2)[..., 0], [[100, 25], [100, 25]])

@@ -47,7 +47,7 @@ def test_a_shown_state_is_the_stored_one_where_there_is_one(pressed: Recording) 
 
 def test_a_trial_under_joint_control_is_reached_too() -> None:
     card = PolicyCard(name="j", action_space="joint_position", control="droid", modalities=(), control_hz=15)
-    spec = TrialSpec(protocol=load_protocol("bathing-v3-draft"), task_id="T1", seed=1, policy="j")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=1, policy="j")
     with Episode(spec, card=card) as episode:
         start = episode.reset().joint_position
         for number in range(20):

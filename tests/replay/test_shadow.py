@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from carecontact.replay.shadow import BIAS_M, MAP_PX, Eye, Lamp, edges, shade, smooth, widened
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carecontact.replay.shadow import BIAS_M, MAP_PX, Eye, Lamp, edges, shade, widened
 
 RADIUS_M, BOARD_M, HIGH_M = 0.4, 0.1, 0.2
 """The board is square, of this half side, and so far above the floor."""
@@ -23,7 +27,7 @@ def floor(x: np.ndarray) -> np.ndarray:
 
 def test_the_shadow_of_a_board_is_soft_at_its_edge_only() -> None:
     x = np.linspace(0, 0.39, 400)
-    lit = LAMP.lit(floor(x), seen_by_lamp())
+    lit = LAMP.lit(floor(x), np.ones_like(x, np.float32), seen_by_lamp())
     soft = 3.0 * 2 * RADIUS_M / MAP_PX
     assert (lit[x < BOARD_M - soft] == 0).all()
     assert (lit[x > BOARD_M + soft] == 1).all()
@@ -35,7 +39,18 @@ def test_the_shadow_of_a_board_is_soft_at_its_edge_only() -> None:
 def test_the_board_itself_and_what_the_lamp_does_not_see_are_lit() -> None:
     on_board = np.array([[0.0, 0.0, -HIGH_M + 0.9 * BIAS_M]], np.float32)
     beyond = floor(np.array([1.1 * RADIUS_M]))
-    assert (LAMP.lit(np.concatenate([on_board, beyond]), seen_by_lamp()) == 1).all()
+    assert (LAMP.lit(np.concatenate([on_board, beyond]), np.ones(2, np.float32), seen_by_lamp()) == 1).all()
+
+
+@given(slope=st.floats(0, 4), radius_m=st.sampled_from([0.3, 2.2]))
+def test_a_steep_plane_casts_no_shadow_on_itself(slope: float, radius_m: float) -> None:
+    lamp = replace(LAMP, radius_m=radius_m)
+    at = ((np.arange(MAP_PX) + 0.5) / MAP_PX * 2 - 1) * radius_m
+    seen = np.tile((slope * at).astype(np.float32), (MAP_PX, 1))
+    x = np.linspace(-0.9, 0.9, 300) * radius_m
+    places = np.stack([x, np.zeros_like(x), slope * x], -1).astype(np.float32)
+    facing = np.full(len(x), 1 / np.hypot(1, slope), np.float32)
+    assert (lamp.lit(places, facing, seen) == 1).all()
 
 
 def test_a_shadow_takes_the_share_of_the_lamp_and_stops_at_an_outline() -> None:
@@ -56,13 +71,8 @@ def test_a_shadow_takes_the_share_of_the_lamp_and_stops_at_an_outline() -> None:
     assert (picture[:12] == 200).all()
 
 
-def test_a_plane_has_no_outline_and_a_step_is_smoothed() -> None:
+def test_a_plane_has_no_outline_and_a_step_has_one() -> None:
     depth = np.tile(np.linspace(0.2, 0.4, 40, dtype=np.float32), (30, 1))
     assert not edges(depth).any()
     depth[:, 20:] += 0.2
-    edge = edges(depth)
-    assert set(np.flatnonzero(edge.any(0))) == {19, 20}
-    picture = np.zeros((30, 40, 3), np.uint8)
-    picture[:, 20:] = 160
-    smooth(picture, edge)
-    assert picture[15, 18:22, 0].tolist() == [0, 40, 120, 160]
+    assert set(np.flatnonzero(edges(depth).any(0))) == {19, 20}

@@ -98,7 +98,9 @@ def _policy() -> dict[str, Any]:
 
 # Synthetic runs: one to three trials of each task, of every kind that a report has to draw.
 
-PROTOCOL = load_protocol().model_copy(update={"frozen": False})  # not what is frozen, which pages have to say
+PROTOCOL = load_protocol("bathing-v3").model_copy(
+    update={"frozen": False}
+)  # not what is frozen, which pages have to say
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 HOSTILE = "<script>alert('x')</script> & \"quotes\" ]]> </svg>"
 

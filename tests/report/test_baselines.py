@@ -170,7 +170,7 @@ def test_only_methods_are_ranked(scores: list[TrialScore], what: str) -> None:
 
 # The kept scores of the shipped policies stand beside every run of their protocol.
 
-PROTOCOL = "bathing-v3-draft"
+PROTOCOL = "bathing-v3"
 PASSED = {"replay": 3, "state-machine": 7, "voxposer": 1}
 """Policy -> seeds of seven that it passes in both of its tasks."""
 STALLED = FAILED | {"failure_mode": "insufficient_progress", "attribution": "planning", "evidence": "stroke 34 mm"}
@@ -221,12 +221,10 @@ def test_kept_scores_of_another_world_do_not(folder: Path) -> None:
     assert "same protocol" in why
 
 
-def test_a_draft_says_in_one_line_that_none_are_kept(tmp_path: Path) -> None:
+def test_one_line_says_that_none_are_kept(tmp_path: Path) -> None:
     beside, why = beside_shipped_scores(scores_of("voxposer"), [], folders=[tmp_path])
     assert beside is None
-    assert (
-        why == f"No scores of the shipped policies and of blind replay are kept for {PROTOCOL}, because it is a draft."
-    )
+    assert why == f"No scores of the shipped policies and of blind replay are kept for {PROTOCOL}."
     assert beside_shipped_scores(RunScores(scores=[]), []) == (None, "")
 
 

@@ -239,10 +239,10 @@ def test_swapping_the_runs_mirrors_and_order_is_nothing(cells: Any, shuffle: Any
 @pytest.mark.parametrize(
     ("change", "wording"),
     [
-        ({"protocol_sha256": "1" * 64}, "A ran bathing-v3-draft"),
+        ({"protocol_sha256": "1" * 64}, "A ran bathing-v3"),
         (
             {"protocol_sha256": "2" * 64, "overrides": {"person.body": "woman-old-light"}},
-            r"B ran bathing-v3-draft with body woman-old-light \(2{12}\): only runs of the same protocol",
+            r"B ran bathing-v3 with body woman-old-light \(2{12}\): only runs of the same protocol",
         ),
         ({"overrides": {"physics.dt_s": "0.004"}}, "with time step 0.004 s"),
         ({"metric_versions": {"contact": "contact-v2", "gates": "paper"}}, "contact contact-v1 and contact-v2"),

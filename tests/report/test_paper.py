@@ -18,7 +18,7 @@ from carecontact.errors import ConfigError
 from carecontact.protocol.load import load_protocol
 from carecontact.recording import Recording, read_recording
 from carecontact.report import paper_figures
-from carecontact.report.paper import tables_of
+from carecontact.report.paper import one_of_each_task, tables_of
 from carecontact.report.paper_method import Method, Table, methods_of, read_paper
 from carecontact.runs import score_run
 from carecontact.runs.pooling import RunScores
@@ -35,7 +35,7 @@ def runs() -> list[RunScores]:
 
 @pytest.fixture(scope="module")
 def tables(runs: list[RunScores]) -> dict[str, Table]:
-    return {table.name: table for table in tables_of(runs, load_protocol())}
+    return {table.name: table for table in tables_of(runs, load_protocol("bathing-v3"))}
 
 
 def pairs(table: Table, ours: str, papers: str) -> list[tuple[str, str]]:
@@ -58,7 +58,7 @@ def test_the_rates_are_the_printed_ones(tables: dict[str, Table]) -> None:
 
 def test_the_medians_are_the_printed_ones(tables: dict[str, Table]) -> None:
     table = tables["scores"]
-    for ours, papers in ((name, f"Paper: {name}") for name in ("C1 [N]", "C2 [rad]", "C4", "C5 [N]")):
+    for ours, papers in ((name, f"Paper: {name}") for name in ("C1 [N]", "C2 [mrad]", "C4", "C5 [N]")):
         for cell, printed in pairs(table, ours, papers):
             assert cell.partition(" (n=")[0] == printed
     assert [row[1].partition(" ")[2] for row in table.rows] == ["(n=133)", "(n=121)", "(n=30)"]
@@ -82,7 +82,7 @@ def test_the_tests_of_rates_are_the_printed_ones(tables: dict[str, Table]) -> No
 
 def test_a_method_that_is_not_in_the_paper_has_no_printed_values(runs: list[RunScores]) -> None:
     mine = [score.model_copy(update={"policy": "mine_&_50%"}) for score in runs[1].scores]
-    tables = {t.name: t for t in tables_of([runs[0], RunScores(scores=mine)], load_protocol())}
+    tables = {t.name: t for t in tables_of([runs[0], RunScores(scores=mine)], load_protocol("bathing-v3"))}
     assert tables["rates"].rows[1][0] == "mine_&_50%"
     assert tables["rates"].rows[1][3] == "-"
     assert {row[3] for row in tables["tests"].rows} == {"-"}
@@ -129,7 +129,7 @@ def test_latex_compiles_every_table(tables: dict[str, Table], tmp_path: Path) ->
 
 def test_latex_sets_numbers_and_a_method_in_mathematics(tables: dict[str, Table]) -> None:
     scores = tables["scores"].latex()
-    assert r"$-3.61 \times 10^{-4}$ (n=20) & $-3.61 \times 10^{-4}$ &" in scores
+    assert "$-0.361$ (n=20) & $-0.361$ &" in scores
     assert r"$\pi_{0.5}$ &" in scores
     assert "$4.74 \\times 10^{-14}$" in tables["tests"].latex()
     text = Table(name="x", caption="a-1 T1-T7, 45-60 and -2.5 N", head=("0.35e",), rows=()).latex()
@@ -153,7 +153,7 @@ def test_the_csv_of_rates_has_one_number_in_each_column(tables: dict[str, Table]
 
 def wide_runs(seeds: int) -> list[RunScores]:
     """T1 alone on a level with persons that the seed draws."""
-    level = load_protocol("bathing-wide-v2-draft", level="L2")
+    level = load_protocol("bathing-wide-v2", level="L2")
     of_level = {"protocol_id": level.name, "protocol_sha256": level.sha256}
     return [
         RunScores(scores=[make_score("T1", seed, policy=policy).model_copy(update=of_level) for seed in range(seeds)])
@@ -162,7 +162,7 @@ def wide_runs(seeds: int) -> list[RunScores]:
 
 
 def test_the_protocol_table_counts_what_ran() -> None:
-    runs, level = wide_runs(3), load_protocol("bathing-wide-v2-draft", level="L2")
+    runs, level = wide_runs(3), load_protocol("bathing-wide-v2", level="L2")
     tables = {table.name: table for table in tables_of(runs, level)}
     ours = {row[0]: row[1] for row in tables["protocol"].rows}
     planned = len(level.randomization.seeds)
@@ -190,10 +190,10 @@ def test_the_protocol_table_has_every_item_of_the_paper(tables: dict[str, Table]
 
 @pytest.mark.parametrize("known", [True, False])
 def test_values_of_the_paper_beside_runs_of_other_rules_have_a_note(known: bool, tables: dict[str, Table]) -> None:
-    level = load_protocol("bathing-wide-v2-draft", level="L2") if known else None
+    level = load_protocol("bathing-wide-v2", level="L2") if known else None
     found = {table.name: table for table in tables_of(wide_runs(6), level)}
     for name in ("rates", "scores", "tests", "anatomy"):
-        assert "These runs are of bathing-wide-v2-draft L2" in found[name].markdown()
+        assert "These runs are of bathing-wide-v2 L2" in found[name].markdown()
         assert "These runs are of" not in tables[name].markdown()
     if known:
         assert "in gates, the person, what the seed draws" in found["rates"].notes[-1]
@@ -201,7 +201,7 @@ def test_values_of_the_paper_beside_runs_of_other_rules_have_a_note(known: bool,
 
 def test_fewer_trials_than_the_papers_have_a_note(tables: dict[str, Table]) -> None:
     few = RunScores(scores=[make_score(task, seed, policy="state-machine") for task in ("T1", "T2") for seed in (0, 1)])
-    found = {table.name: table for table in tables_of([few], load_protocol())}
+    found = {table.name: table for table in tables_of([few], load_protocol("bathing-v3"))}
     for name in ("rates", "scores", "tests", "anatomy"):
         if name in found:
             assert "A run here has 4 trials of 2 of the 7 tasks" in found[name].markdown()
@@ -224,7 +224,9 @@ def test_a_second_run_of_one_method_has_a_name_of_its_own() -> None:
 def test_a_method_with_five_seeds_has_no_interval() -> None:
     for seeds, enough in ((5, False), (6, True)):
         scores = [make_score(task, seed) for task in ("T1", "T2") for seed in range(seeds)]
-        (row,) = next(t for t in tables_of([RunScores(scores=scores)], load_protocol()) if t.name == "rates").rows
+        (row,) = next(
+            t for t in tables_of([RunScores(scores=scores)], load_protocol("bathing-v3")) if t.name == "rates"
+        ).rows
         assert row[1] == f"{2 * seeds}/{2 * seeds}"
         assert ("(" in row[2]) is enough
 
@@ -329,3 +331,31 @@ def test_a_force_has_its_spread_within_the_trial() -> None:
     (bar,) = push.collections[0].get_segments()  # pyright: ignore[reportAttributeAccessIssue]
     assert score.c5_force_sd_n is not None
     assert bar[1, 1] - bar[0, 1] == pytest.approx(2 * score.c5_force_sd_n)
+
+
+def test_all_methods_are_drawn_in_the_trial_in_which_most_of_them_succeed() -> None:
+    first = method("a", {"time_limit": 3})
+    second = replace(first, title="b", scores=[first.scores[0], make_score("T1", 1), make_score("T1", 9)])
+    assert one_of_each_task([first, second]) == [["T1-s001"], ["T1-s001"]]
+    assert one_of_each_task([replace(first, scores=[]), second]) == [[], ["T1-s001"]]
+
+
+def test_traces_have_a_line_of_its_colour_for_each_method_and_one_scale_a_column() -> None:
+    run = score_run(GOLDEN)
+    recordings = [read_recording(GOLDEN / f"{task}-s000.h5") for task in ("T1", "T2")]
+    figure = Figure()
+    paper_figures.draw_traces(figure, methods_of([run, run], read_paper()), [recordings, recordings[:1]])
+    rows = [figure.axes[4 * row + 1 : 4 * row + 4] for row in range(2)]
+    assert [[line.get_color() for line in panel.lines] for row in rows for panel in row] == (
+        [list(paper_figures.COLOURS[:2])] * 3 + [[paper_figures.COLOURS[0]]] * 3
+    )
+    assert [panel.get_ylim() for panel in rows[0]] == [panel.get_ylim() for panel in rows[1]]
+
+
+def test_the_papers_median_stands_beside_the_trials_of_its_method_alone(runs: list[RunScores]) -> None:
+    ours, paper = methods_of(runs[:1], read_paper())[0], read_paper()
+    panel = panels([ours, replace(ours, title="another", published=None)], [[], []])["Motion activity, C4"]
+    marks = [line.get_xydata() for line in panel.lines if line.get_marker() == "D"]
+    assert [point.tolist() for point in marks] == [[[0, paper.methods[ours.policy].medians["C4"]]]]  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
+    legend = panel.figure.legends[0]
+    assert [text.get_text() for text in legend.get_texts()] == [ours.title, "another", "median", "median in the paper"]

@@ -45,7 +45,7 @@ MAPS = {
 
 
 def recording(content: dict[str, Any], *, failure: str = "x", **arrays: np.ndarray) -> Recording:
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="x")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="x")
     base = harness_error_recording(spec, kind="x", message=failure)
     place = "policy/notes/0000"
     kept = {f"{place}/{name}": array for name, array in arrays.items()}

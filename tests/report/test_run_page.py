@@ -553,13 +553,13 @@ def test_what_the_person_does_and_what_seeds_draw_is_stated_for_a_protocol_that_
         spec = header.spec.model_copy(update={"protocol": protocol})
         return caveats([make_score("T1", 0)], [header.model_copy(update={"spec": spec})])
 
-    wide = of(load_protocol("bathing-wide-v2-draft", level="L3"))
+    wide = of(load_protocol("bathing-wide-v2", level="L3"))
     assert wide["A person who moves"].startswith("The person breathes, changes its posture, withdraws the arm")
     for drawn in ("the body", "the turn of shoulder and palm", "the place of the overhead camera"):
         assert drawn in wide["What seeds change"]
     assert wide["What seeds change"].startswith("Seeds differ in the angle of the person's arm")
     assert " changes and " not in wide["What seeds change"]
-    assert "A person who moves" not in of(load_protocol("bathing-v3-draft"))
+    assert "A person who moves" not in of(load_protocol("bathing-v3"))
 
 
 def test_less_isolation_than_there_is_and_opened_files_are_stated(run_of_7: Run) -> None:
@@ -592,7 +592,7 @@ def test_provenance_shows_differences_and_gaps(run_of_42: Run) -> None:
     rows = dict(provenance_rows(run_of_42.scores, headers))
     assert rows["sha256 of model"].startswith("6 different values")
     assert rows["sha256 of body"] == "ab" * 32
-    assert rows["Protocol state"] == "draft"
+    assert rows["Protocol state"].startswith("not the frozen bathing-v3: sha256 ")
     assert dict(provenance_rows(run_of_42.scores, []))["Version of mujoco"] == NOT_RECORDED
     assert "Policy arguments" not in rows
     given = {"name": "x", "arguments": {"steps": "3", "mode": "a"}, "environment": ["TOKEN"]}

@@ -161,7 +161,7 @@ def test_known_ticks() -> None:
 
 # The drawings show the counts: read back from the coordinates.
 
-GATE_FIGURES_PROTOCOL = load_protocol()
+GATE_FIGURES_PROTOCOL = load_protocol("bathing-v3")
 
 
 def line(svg: str, level: int) -> list[tuple[float, float]]:

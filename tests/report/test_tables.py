@@ -181,9 +181,16 @@ def test_medians_by_task_and_over_all() -> None:
 def test_headlines_stand_first_where_they_are_wanted() -> None:
     scores = [make_score("T2", 0, additional={"impulse@1": 10.0})]
     assert [row.metric.id for row in load(scores).rows] == ["impulse@1"]
-    rows = load(scores, headlines=True).rows
+    rows = load(scores, every=True).rows
     assert [row.metric.id for row in rows] == ["C1@1", "C2@1", "C4@1", "C5@1", "impulse@1"]
     assert rows[0].cells((1, 1)) == ["12.30", "12.30"]
+
+
+def test_details_and_metrics_without_any_value_have_a_row_only_in_the_full_table() -> None:
+    additional = {"impulse@1": 10.0, "shear_work@1": -0.0004, "foam_place@1": None}
+    scores = [make_score("T1", 0, additional=additional)]
+    assert [row.metric.id for row in load(scores).rows] == ["impulse@1"]
+    assert set(additional) <= {row.metric.id for row in load(scores, every=True).rows}
 
 
 def test_nothing_without_further_metrics() -> None:
@@ -193,7 +200,7 @@ def test_nothing_without_further_metrics() -> None:
 
 def test_metres_and_joules_are_shown_in_thousandths() -> None:
     scores = [make_score("T3", 0, additional={"knock_energy@1": 0.0041, "shear_work@1": 0.7})]
-    rows = {row.metric.id: row for row in load(scores).rows}
+    rows = {row.metric.id: row for row in load(scores, every=True).rows if row.metric.unit == "J"}
     assert rows["knock_energy@1"].label == "knock_energy@1 [mJ]"
     assert [row.cells((1, 1))[0] for row in rows.values()] == ["4.10", "700"]
 

@@ -334,7 +334,7 @@ def test_a_skin_that_does_not_fit_is_named(tmp_path: Path) -> None:
 
 # What other policies did in the same trial, beside it on its page.
 
-KEPT = Path(__file__).parents[2] / "docs" / "results" / "bathing-v3-draft"
+KEPT = Path(__file__).parents[2] / "docs" / "results" / "bathing-wide-v2-L2"
 
 
 def test_only_the_same_task_and_seed_stands_beside_with_a_link_to_its_page(tmp_path: Path) -> None:
@@ -362,19 +362,19 @@ def test_the_page_shows_it_or_says_how_to_get_it(tmp_path: Path) -> None:
     assert words.endswith("replay blind baseline failed NA no target contact")
     assert StrictReader(text).faults == []
     alone = write_trial_page(tmp_path, recording, score).read_text()
-    assert "carecontact run --policy replay --protocol bathing-v3-draft --tasks T1 --seeds 0 --out " in alone
+    assert "carecontact run --policy replay --protocol bathing-v3 --tasks T1 --seeds 0 --out " in alone
     assert f"carecontact report {tmp_path} --trials --baseline {tmp_path}-replay</pre>" in alone
     assert StrictReader(alone).faults == []
     assert how_to_compare(make_score("T1", 0, policy="replay"), tmp_path) == ()
 
 
 def test_the_kept_scores_stand_beside_a_run_of_their_protocol(tmp_path: Path) -> None:
-    run = read_scores(KEPT / "voxposer.json.gz")
+    run = read_scores(KEPT / "look-and-press.json.gz")
     beside = policies_beside(tmp_path, run)
     rows = other_rows(run.scores[0], beside, tmp_path)
-    assert {"replay", "state-machine"} <= {row.name for row in rows}
-    named = policies_beside(tmp_path, run, [KEPT / "replay.json.gz"])
-    assert [row.name for row in other_rows(run.scores[0], named, tmp_path)].count("replay") == 1
+    assert {"mean-person-hybrid", "state-machine"} <= {row.name for row in rows}
+    named = policies_beside(tmp_path, run, [KEPT / "replay-registered.json.gz"])
+    assert [row.name for row in other_rows(run.scores[0], named, tmp_path)].count("replay-registered") == 1
 
 
 # The page says what the policy declared, and what of its views the page cannot show.

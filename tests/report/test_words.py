@@ -131,7 +131,7 @@ def _parsed(command: str) -> Run:
 
 @pytest.mark.parametrize("changes", [{}, CHANGES, {"phases.latency_s": 0.2, "physics.dt_s": 0.004}])
 def test_the_command_runs_replay_under_the_rules_of_the_run(changes: dict[str, object]) -> None:
-    protocol = overridden(load_protocol("bathing-v3-draft"), changes)
+    protocol = overridden(load_protocol("bathing-v3"), changes)
     scores = [_score(protocol, seed=seed, task=task) for task in ("T1", "T3") for seed in (4, 1)]
     run = _parsed(replay_commands(scores, Path("runs/my run"))[0])
     assert run._protocol().sha256 == protocol.sha256
@@ -139,7 +139,7 @@ def test_the_command_runs_replay_under_the_rules_of_the_run(changes: dict[str, o
 
 
 def test_a_level_is_named() -> None:
-    protocol = load_protocol("bathing-wide-v2-draft", level="L2")
+    protocol = load_protocol("bathing-wide-v2", level="L2")
     run = _parsed(replay_commands([_score(protocol)], Path("runs/a"))[0])
     assert run._protocol().sha256 == protocol.sha256
 

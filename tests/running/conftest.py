@@ -14,7 +14,7 @@ from carecontact.sim.simulation import Simulation
 @pytest.fixture(scope="package")
 def again() -> Callable[..., World]:
     """Gives the world of T1-s000, which takes a second to build, as it was when it had settled."""
-    simulation, settled, sha256 = settled_world(load_protocol(), task_id="T1", seed=0)
+    simulation, settled, sha256 = settled_world(load_protocol("bathing-v3"), task_id="T1", seed=0)
     state = simulation.integration_state()
 
     def restored(*_: object, **__: object) -> World:

@@ -151,5 +151,27 @@ def write(spec: TrialSpec, out: Path, does: str) -> None:
         os.kill(os.getpid(), signal.SIGSEGV)
 
 
+def serve(place: Path) -> None:
+    """Fork a fake worker for each request. ``place`` holds its working folder and its variables as JSON."""
+    from importlib import import_module
+    from types import SimpleNamespace
+
+    from carecontact.running import fork_server
+
+    def prepare() -> None:
+        for name in ("recording", "running.engine", "running.lost", "running.worker"):
+            import_module(f"carecontact.{name}")
+
+    def work(server: int) -> int:
+        folder, variables = json.loads(place.read_text())
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(variables)
+        return main()
+
+    fork_server.prepare, fork_server.worker = prepare, SimpleNamespace(main=work)  # pyright: ignore[reportAttributeAccessIssue]
+    fork_server.main()
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(serve(Path(sys.argv[2])) if len(sys.argv) > 2 else main())

@@ -148,7 +148,7 @@ def test_an_answer_that_uses_up_the_budget_is_an_error(checked, monkeypatch: pyt
 def test_a_good_policy_passes(checked) -> None:
     status, out = checked(PREAMBLE, "--task", "T7", "--seed", "3")
     assert status == 0
-    assert "the first observation of T7-s003, bathing-v3-draft, twice" in out
+    assert "the first observation of T7-s003, bathing-wide-v2 L2, twice" in out
     assert [line.split()[:2] for line in out.splitlines()[1:-1]] == [["ok", "card"], ["ok", "reset"], ["ok", "answer"]]
     assert out.endswith("a run can work\n")
 
@@ -221,7 +221,7 @@ def test_a_refusal_that_says_what_it_looks_like_has_no_second_hint(checked) -> N
 
 VELOCITY, POSITION = "droid_joint_velocity", "joint_position"
 POSTURES = {
-    "bathing-v3-draft": np.array([0.53, -0.39, 0.36, -1.84, 0.14, 1.47, 1.14]),
+    "bathing-v3": np.array([0.53, -0.39, 0.36, -1.84, 0.14, 1.47, 1.14]),
     "DROID": np.array([0.0, -0.628, 0.0, -2.513, 0.0, 1.885, 0.0]),
 }
 

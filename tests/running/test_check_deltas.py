@@ -136,7 +136,7 @@ class Onward(Libero):
 def scene(again: Callable[..., World]) -> tuple[np.ndarray, np.ndarray, Rotation, float]:
     """A place above the named region, the tool's place and its orientation, all in base, and which half of the exterior
     picture is brighter."""
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="x")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="x")
     card = PolicyCard(name="x", modalities=("rgb",), cameras=("exterior",))
     with Episode(spec, card=card, prepare=again) as episode:
         seen = episode.reset()

@@ -44,6 +44,7 @@ def effects(answer: Callable[[Observation], np.ndarray | None], *inputs: Input) 
     return {effect.input.name: effect for effect in found}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOISES)
 def test_false_alarms_and_misses_of_a_random_policy(name: str) -> None:
     """An effect of one standard deviation in each column is never taken for none; of inputs without effect, those that

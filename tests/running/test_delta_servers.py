@@ -68,7 +68,7 @@ def test_a_server_brings_the_tool_to_its_goal(
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
     make, address, hz = CASES[name]
     server = make()
-    protocol = overridden(load_protocol(), {"phases.time_limit_s": seconds})
+    protocol = overridden(load_protocol("bathing-v3"), {"phases.time_limit_s": seconds})
     place, turn = parked(protocol, task)
     goal, turned = place + WAY_M, Rotation.from_euler("zx", [TURN_RAD, 0.2]) * turn
     goal_of(server.driver, goal, turned)

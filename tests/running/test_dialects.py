@@ -27,7 +27,7 @@ Run = Callable[[Fake, str], Recording]
 @pytest.fixture(scope="module", params=[SECONDS, pytest.param(30.0, marks=pytest.mark.slow)])
 def run(request: pytest.FixtureRequest, again: Callable[..., World]) -> Run:
     """``run(server, address)``: a trial of T1; the address has {} for the port."""
-    protocol = overridden(load_protocol(), {"phases.time_limit_s": request.param})
+    protocol = overridden(load_protocol("bathing-v3"), {"phases.time_limit_s": request.param})
 
     def run_one(server: Fake, address: str) -> Recording:
         with server.running() as port, pytest.MonkeyPatch.context() as patch:

@@ -205,6 +205,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_a_real_policy_that_dies_and_comes_back(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(POLICY)
     file = tmp_path / "r" / "T1-s000.h5"

@@ -31,7 +31,7 @@ from carecontact.runs.plan import plan_trials
 from carecontact.serving.conversation import PolicySetup
 from tests.running.fake_worker import recording
 
-SPECS = plan_trials(protocol=load_protocol(), policy="hover", tasks=["T1"], seeds=range(3))
+SPECS = plan_trials(protocol=load_protocol("bathing-v3"), policy="hover", tasks=["T1"], seeds=range(3))
 
 
 class RayError(Exception):
@@ -281,7 +281,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def task(
     policy: str = "hover", *, search_path: tuple[str, ...] = (), earlier: bytes | None = None, **changes: Any
 ) -> NodeTask:
-    spec = plan_trials(protocol=load_protocol(), policy=policy, tasks=["T1"], seeds=[0])[0]
+    spec = plan_trials(protocol=load_protocol("bathing-v3"), policy=policy, tasks=["T1"], seeds=[0])[0]
     settings = RunSettings(
         out=Path("out"),
         work=Path("work"),

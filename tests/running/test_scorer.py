@@ -187,7 +187,7 @@ class Still:
 def test_a_trial_keeps_its_pace_and_the_hash_stays(tmp_path: Path, again: Callable[..., World]) -> None:
     (tmp_path / "still.py").write_text(POLICY)
     setup = PolicySetup.of("still:Still", search_path=[str(tmp_path)])
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="still:Still")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="still:Still")
     free, paced = (run_trial(spec, policy=setup, pace_s=pace_s, prepare=again) for pace_s in (None, 0.5))
     assert canonical_hash(free) == canonical_hash(paced)
     periods = np.bincount(paced["actions/observation_index"])[: len(paced[BETWEEN])]

@@ -47,7 +47,7 @@ FIRST_CALL_S = 4.0
 
 
 def run(port: int, out: Path, on_event: object, *, first_call_s: float = 120.0) -> RunSummary:
-    rules = load_protocol()
+    rules = load_protocol("bathing-v3")
     phases = rules.phases.model_copy(update={"first_call_deadline_s": first_call_s})
     physics = rules.physics.model_copy(update={"dt_s": 0.004})
     rules = rules.model_copy(update={"phases": phases, "physics": physics})
@@ -73,6 +73,7 @@ def test_a_server_that_restarts_between_trials_loses_none(tmp_path: Path) -> Non
     assert (summary.ended, summary.unreached) == ({"T1-s000": "done", "T1-s001": "done"}, None)
 
 
+@pytest.mark.slow
 def test_a_server_that_stays_away_stops_the_run_and_no_trial_is_lost(tmp_path: Path) -> None:
     out = tmp_path / "r"
     with served(POLICY, tmp_path) as (port, server):
@@ -220,7 +221,7 @@ def test_the_trial_ends_as_the_policys_process_failure(
         (tmp_path / "raw").touch()
     # The report's two pictures are not what is tested here.
     monkeypatch.setattr(Peak, "pictures", lambda self, renderer, region: {})
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy="spoilt_policy:P")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="spoilt_policy:P")
     recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=again)
     kept = read_recording(write_recording(recording, tmp_path / "trial.h5"))
     assert kept.header.ended == "process_failure"
@@ -255,7 +256,7 @@ def test_a_step_that_fails_keeps_its_picture_and_notes_beside_those_before(
 ) -> None:
     name = f"fails_at_{last}"
     (tmp_path / f"{name}.py").write_text(FAILS.replace("LAST", str(last)))
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=f"{name}:P")
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy=f"{name}:P")
     recording = run_trial(spec, policy=PolicySetup.of(spec.policy, search_path=[str(tmp_path)]), prepare=again)
     assert recording.header.ended == "process_failure"
     assert len(recording["policy/observation_time_s"]) == last - 1
@@ -280,7 +281,7 @@ def test_two_trials_share_the_batches_of_a_server(tmp_path: Path) -> None:
         try:
             assert server.stdout is not None
             address = f"ws://127.0.0.1:{server.stdout.readline().split()[-1]}"
-            rules = overridden(load_protocol(), {"phases.time_limit_s": 1, "physics.dt_s": 0.004})
+            rules = overridden(load_protocol("bathing-v3"), {"phases.time_limit_s": 1, "physics.dt_s": 0.004})
             specs = plan_trials(protocol=rules, policy=address, tasks=["T1"], seeds=range(2))
             found = run_trials(specs, out=tmp_path / "r", policy=PolicySetup.of(address), jobs=2)
             assert found.ended == {"T1-s000": "time_limit", "T1-s001": "time_limit"}

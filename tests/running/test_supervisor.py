@@ -33,9 +33,9 @@ from carecontact.runs.lock import LOCK
 from carecontact.runs.plan import plan_trials
 from carecontact.scoring import score_recording
 from carecontact.serving.conversation import PolicySetup
+from tests.running.forked_fakes import FAKE, fork_fakes
 
-PROTOCOL = load_protocol()
-FAKE = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
+PROTOCOL = load_protocol("bathing-v3")
 
 
 def specs(count: int, *, policy: str = "hover", **given: Any) -> list[TrialSpec]:
@@ -63,6 +63,7 @@ class Bench:
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("FAKE_PLAN", json.dumps(does or {}))
             patch.setenv("FAKE_LOG", str(self.log))
+            fork_fakes(patch)
             return run_trials(
                 trials,
                 out=self.out,

@@ -81,7 +81,7 @@ def policies(tmp_path: Path) -> Path:
 
 
 def spec(policy: str, task: str = "T1", seed: int = 0) -> TrialSpec:
-    return TrialSpec(protocol=load_protocol(), task_id=task, seed=seed, policy=policy)
+    return TrialSpec(protocol=load_protocol("bathing-v3"), task_id=task, seed=seed, policy=policy)
 
 
 def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, tmp_path: Path) -> None:
@@ -228,9 +228,12 @@ def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(
 # What isolates a policy changes nothing of its trial.
 
 
-def test_the_hash_is_the_same_with_and_without_isolation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol = overridden(load_protocol(), {"physics.dt_s": 0.004, "phases.time_limit_s": 0.5})
-    (spec,) = plan_trials(protocol=protocol, policy="state-machine", tasks=["T1"], seeds=[0])
+@pytest.mark.parametrize("policy", ["hover", pytest.param("state-machine", marks=pytest.mark.slow)])
+def test_the_hash_is_the_same_with_and_without_isolation(
+    policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    protocol = overridden(load_protocol("bathing-v3"), {"physics.dt_s": 0.004, "phases.time_limit_s": 0.5})
+    (spec,) = plan_trials(protocol=protocol, policy=policy, tasks=["T1"], seeds=[0])
     found, levels = {}, {}
     for kind in ("namespaces", "no namespaces", "none"):
         isolated, out = kind != "none", tmp_path / kind

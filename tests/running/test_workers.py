@@ -38,7 +38,7 @@ def launcher() -> Iterator[Launcher]:
 def start(
     launcher: Launcher, out: Path, *, policy: str = "nowhere:Nothing", seed: int = 0
 ) -> tuple[Process, StatusPipe]:
-    spec = TrialSpec(protocol=load_protocol(), task_id="T1", seed=seed, policy=policy)
+    spec = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=seed, policy=policy)
     pipe, status_fd = os.pipe()
     request = TrialRequest(spec=spec, policy=PolicySetup.of(policy), out=out, status_fd=status_fd)
     process = launcher.start(request, log=out.with_suffix(".log"))
@@ -152,7 +152,7 @@ def test_a_killed_worker_and_a_stopped_one_are_noticed(launcher: Launcher, tmp_p
     assert process.wait() == process.poll() == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)])
 def test_what_a_lost_server_forked_dies_and_the_next_worker_is_a_program(
     launcher: Launcher, tmp_path: Path, how: signal.Signals
 ) -> None:

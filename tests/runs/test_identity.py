@@ -148,7 +148,7 @@ def test_a_folder_of_very_many_files_has_none(tmp_path: Path, monkeypatch: pytes
 
 @pytest.fixture(scope="module")
 def here() -> Lock:
-    return make_lock(load_protocol())
+    return make_lock(load_protocol("bathing-v3"))
 
 
 def frozen_file(folder: Path, *, extra: str = "") -> Path:
@@ -170,7 +170,7 @@ def locked(tmp_path: Path) -> tuple[str, Protocol]:
 def test_nothing_drifts_here_and_compiling_again_gives_the_same_sums(here: Lock) -> None:
     assert drift(here, here) == []
     region = "forearm"
-    assert identity.world_sums(load_protocol(), region) == here.worlds[region]
+    assert identity.world_sums(load_protocol("bathing-v3"), region) == here.worlds[region]
     assert here.worlds["forearm"] != here.worlds["abdomen"]
 
 
@@ -287,8 +287,8 @@ def test_a_file_with_a_shipped_id_is_held_to_the_shipped_lock(tmp_path: Path, sh
 
 def test_a_level_has_a_lock_of_its_own(tmp_path: Path) -> None:
     path = str(tmp_path / "mine.toml")
-    text = protocol_file("bathing-wide-v2-draft").read_text().replace("frozen = false", "frozen = true")
-    Path(path).write_text(text.replace('id = "bathing-wide-v2-draft"', 'id = "mine-v1"'))
+    text = protocol_file("bathing-wide-v2").read_text().replace("frozen = false", "frozen = true")
+    Path(path).write_text(text.replace('id = "bathing-wide-v2"', 'id = "mine-v1"'))
     for level in ("L0", "L3"):
         write_lock(make_lock(load_protocol(path, level=level), worlds=False), lock_path(path, level=level))
     found = lock_of(path, load_protocol(path, level="L3"))
@@ -296,8 +296,10 @@ def test_a_level_has_a_lock_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_lock_holds_a_world_of_every_body_and_region() -> None:
-    varied = load_protocol("bathing-wide-v2-draft", level="L3")
+    varied = load_protocol("bathing-wide-v2", level="L3")
     worlds = identity.worlds_of(varied)
     assert [rules.person.body for rules, _ in worlds.values()] == list(varied.variation.bodies)
     assert {region for _, region in worlds.values()} == set(varied.regions)
-    assert identity.worlds_of(load_protocol()) == {region: (load_protocol(), region) for region in varied.regions}
+    assert identity.worlds_of(load_protocol("bathing-v3")) == {
+        region: (load_protocol("bathing-v3"), region) for region in varied.regions
+    }

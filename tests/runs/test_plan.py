@@ -43,7 +43,7 @@ from carecontact.stats import wilson_interval
 from tests.report.synthetic import FAILED, NO_CONTACT, make_score
 from tests.scoring.synthetic import touch
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 ALL = ["T1", "T2", "T3", "T4", "T5", "T6", "T7"]
 
 
@@ -104,14 +104,14 @@ def test_compact_says_each_number_once(numbers: set[int]) -> None:
 
 
 def edited(section: str, **values: Any) -> Protocol:
-    content = load_protocol().model_dump()
+    content = load_protocol("bathing-v3").model_dump()
     content[section] |= values
     return Protocol.model_validate(content)
 
 
 def test_the_shipped_protocol_can_run() -> None:
-    check_protocol(load_protocol())
-    check_rows(load_protocol())
+    check_protocol(load_protocol("bathing-v3"))
+    check_rows(load_protocol("bathing-v3"))
 
 
 @pytest.mark.parametrize(
@@ -139,10 +139,10 @@ def test_a_row_that_cannot_be_loaded_is_named_before_a_run(
     name = next(iter(registry))
     monkeypatch.setitem(registry._faults, name, f"{name} cannot be loaded")
     with pytest.raises(ConfigError, match=f"^{name} cannot be loaded$"):
-        check_rows(load_protocol())
+        check_rows(load_protocol("bathing-v3"))
 
 
-PROTOCOL_SHARD = load_protocol()
+PROTOCOL_SHARD = load_protocol("bathing-v3")
 TRIALS = plan_trials(protocol=PROTOCOL_SHARD, policy="hover", tasks=["T1", "T2"], seeds=range(5))
 
 
@@ -319,11 +319,11 @@ def test_beside_an_incomplete_run_there_are_counts_and_no_differences() -> None:
 @pytest.mark.parametrize(
     ("trained_on", "salt", "refused"),
     [
-        ("bathing-wide-v2-draft:0-2", "", False),
-        ("bathing-wide-v2-draft:0-3", "", True),
-        ("bathing-wide-v2-draft:9,3", "", True),
-        ("bathing-v3-draft:3", "", False),
-        ("bathing-wide-v2-draft:3", "ab" * 32, False),
+        ("bathing-wide-v2:0-2", "", False),
+        ("bathing-wide-v2:0-3", "", True),
+        ("bathing-wide-v2:9,3", "", True),
+        ("bathing-v3:3", "", False),
+        ("bathing-wide-v2:3", "ab" * 32, False),
         (commitment("ab" * 32), "ab" * 32, True),
         (commitment("ab" * 32), "", False),
         (TRAINING_SHA256, "", False),
@@ -331,7 +331,7 @@ def test_beside_an_incomplete_run_there_are_counts_and_no_differences() -> None:
     ],
 )
 def test_no_policy_is_tested_on_persons_of_its_training(trained_on: str, salt: str, refused: bool) -> None:
-    protocol = load_protocol("bathing-wide-v2-draft", level="L1")
+    protocol = load_protocol("bathing-wide-v2", level="L1")
     specs = plan_trials(protocol=protocol, policy="p:P", tasks=["T1"], seeds=[3, 4])
     specs = [spec.model_copy(update={"salt": salt}) for spec in specs]
     card = PolicyCard(name="p", trained_on=(trained_on,))

@@ -87,7 +87,7 @@ def test_results(folder: Path) -> None:
     assert overall["medians"]["c2_joint_margin_rad_push"]["n"] == 1, "C2 is pooled over Push alone"
     assert {t: s["n_episodes"] for t, s in data["per_task"].items()} == {"T1": 2, "T2": 1, "T3": 1}
     assert data["per_task"]["T1"]["pc_success"] == 50.0
-    assert data["protocol"]["id"] == "bathing-v3-draft"
+    assert data["protocol"]["id"] == "bathing-v3"
     assert data["language_backend"] == ["rules-v1"]
     assert data["metric_versions"]["C5"] == "C5@1"
     assert [t["trial_id"] for t in data["trials"]] == [s.trial_id for s in run.scores]

@@ -7,7 +7,7 @@ import pytest
 
 from carecontact.errors import ConfigError
 from carecontact.policies.registry import role_of
-from carecontact.protocol.load import load_levels, load_protocol, shipped_protocols
+from carecontact.protocol.load import load_levels, load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.person import Breathing
 from carecontact.runs.sweep import Cell, cells_of, factor_protocols, places_of, read_plan
@@ -26,7 +26,7 @@ label = "again"
 jobs = 2
 
 [axes]
-protocol = ["bathing-v3-draft", "bathing-droid-draft"]
+protocol = ["bathing-v3", "bathing-wide-v2 L0"]
 body = ["man-adult", "woman-old-light"]
 tissue = ["human-published", "manikin-like"]
 friction = [0.2, 0.5]
@@ -54,8 +54,8 @@ def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path
     assert list(first.place.values) == ["protocol", "body", "tissue", "friction", "stiffness", "gates.touch.duration_s"]
     assert [spec.trial_id for spec in first.specs] == ["T1-s000", "T3-s000", "T1-s001", "T3-s001"]
     rules = last.place.protocol
-    assert (rules.id, rules.person.body, rules.person.tissue_set) == (
-        "bathing-droid-draft",
+    assert (rules.name, rules.person.body, rules.person.tissue_set) == (
+        "bathing-wide-v2 L0",
         "woman-old-light",
         "manikin-like",
     )
@@ -63,9 +63,9 @@ def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path
         frictions = {row.friction for row in cell.place.protocol.person.tissue.values()}
         assert frictions == {float(cell.place.values["friction"])}, "a tissue set has frictions of its own"
     assert (rules.impedance.translational_n_m, rules.phases.time_limit_s) == (400, 2)
-    assert first.name.startswith("hover_bathing-v3-draft_man-adult_human-published_0.2_200_0.5_")
+    assert first.name.startswith("hover_bathing-v3_man-adult_human-published_0.2_200_0.5_")
     assert {spec.policy for spec in last.specs} == {"replay"}
-    wanted = list(product(("bathing-v3-draft", "bathing-droid-draft"), ("man-adult", "woman-old-light")))
+    wanted = list(product(("bathing-v3", "bathing-wide-v2 L0"), ("man-adult", "woman-old-light")))
     assert list(dict.fromkeys(tuple(cell.place.values.values())[:2] for cell in cells)) == wanted
 
 
@@ -84,13 +84,14 @@ def test_the_ensemble_is_of_24_people() -> None:
     assert {place.protocol.variation.tissue for place in places} == {"published-v1"}
 
 
-def test_the_results_are_of_methods_ceiling_and_blind_policies_on_every_draft() -> None:
-    plan = read_plan(Path(__file__).parents[2] / "examples" / "cluster" / "results.toml")
+@pytest.mark.parametrize(("name", "seeds"), [("results", range(1000, 1027)), ("results-paper", range(20))])
+def test_the_results_are_of_methods_ceiling_and_blind_policies(name: str, seeds: range) -> None:
+    plan = read_plan(Path(__file__).parents[2] / "examples" / "cluster" / f"{name}.toml")
     assert {role_of(each.policy) for each in plan.policies} == {"method", "privileged", "blind"}
-    places = places_of(plan, named="results.toml")
-    every = {rules.title for name in shipped_protocols() for rules in load_levels(name).values()}
-    assert {place.protocol.title for place in places} == every
-    assert {(len(place.tasks), place.seeds) for place in places} == {(7, tuple(range(9)))}
+    places = places_of(plan, named=name)
+    titles = {place.protocol.title for place in places}
+    assert titles == {"bathing-v3"} or titles > {rules.title for rules in load_levels("bathing-wide-v2").values()}
+    assert {(len(place.tasks), place.seeds) for place in places} == {(7, tuple(seeds))}
 
 
 def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
@@ -120,20 +121,20 @@ def test_a_cell_keeps_its_folder_where_a_plan_grows(tmp_path: Path) -> None:
         ),
         ('"manikin-like"', '"manikin"', r"axes\.tissue: no tissue set named 'manikin'"),
         (
-            '"bathing-droid-draft"',
-            '"bathing-wide-v2-draft"',
+            '"bathing-wide-v2 L0"',
+            '"bathing-wide-v2"',
             r"has the levels L0, L1, L2, L3; name levels in axes\.level, or",
         ),
         (
             "body =",
             'level = ["L1"]\nbody =',
-            r"axes\.level: bathing-v3-draft has no levels, and so no L1; name levels in",
+            r"axes\.level: bathing-v3 has no levels, and so no L1; name levels in",
         ),
-        ('"bathing-droid-draft"', '"bathing-wide-v2-draft L9"', r"no level named 'L9'"),
-        ('"bathing-droid-draft"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
+        ('"bathing-wide-v2 L0"', '"bathing-wide-v2 L9"', r"no level named 'L9'"),
+        ('"bathing-wide-v2 L0"', '"bathing-v1"', r"axes\.protocol: no protocol named 'bathing-v1'"),
         ("phases.time_limit_s", "phases.limit", r"set: phases\.limit: no field 'limit' in phases"),
-        ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-v3-draft"),
-        ('seeds = "0-1"', 'seeds = "0-99"', r"seeds: '0-99' contains seeds that bathing-v3-draft does not have"),
+        ("T1,T3", "T1,T9", r"tasks: 'T9' is not a task of bathing-v3"),
+        ('seeds = "0-1"', 'seeds = "0-99"', r"seeds: '0-99' contains seeds that bathing-v3 does not have"),
         ('seeds = "0-1"', 'seed = "0-1"', r"seed: no such field in the file \(did you mean 'seeds'\?\)"),
         ("jobs = 2", "jobs = 0", r"policies\.2\.jobs: expected at least 1"),
         ("jobs = 2", "joobs = 2", r"policies\.2\.joobs: no such field in .* \(did you mean 'jobs'\?\); valid: policy"),
@@ -153,7 +154,7 @@ def test_what_is_wrong_with_a_plan_is_named_with_key_and_valid_values(
         planned(tmp_path, PLAN.replace(old, new))
 
 
-LOW = load_protocol("bathing-v3-draft")
+LOW = load_protocol("bathing-v3")
 HIGH = overridden(
     LOW,
     {
@@ -220,10 +221,10 @@ def planned_factors(tmp_path: Path, text: str) -> Path:
 def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
     moved = tmp_path / "moved.toml"
     moved.write_text(
-        'base = "bathing-v3-draft"\nid = "moved"\ndescription = "lies elsewhere"\nfrozen = false\n'
+        'base = "bathing-v3"\nid = "moved"\ndescription = "lies elsewhere"\nfrozen = false\n'
         "[variation]\nplace_along_m = 0.036\nplace_across_m = 0.027\nplace_yaw_deg = 4.5\n"
     )
-    levels = f'[factors]\nlow = "bathing-v3-draft"\nhigh = "{moved}"\n'
+    levels = f'[factors]\nlow = "bathing-v3"\nhigh = "{moved}"\n'
     fields = ", ".join(f'"variation.place_{name}"' for name in ("along_m", "across_m", "yaw_deg"))
     text = f"{levels}[factors.groups]\nplace = [{fields}]\n[axes]\nstiffness = [200, 400]\n"
     plan = read_plan(planned_factors(tmp_path, text))
@@ -239,10 +240,10 @@ def test_a_plan_of_factors_has_a_place_for_each(tmp_path: Path) -> None:
     ("text", "message"),
     [
         (
-            '[factors]\nlow = "bathing-v3-draft"\nhigh = "x"\n[axes]\nprotocol = ["bathing-v3-draft"]\n',
+            '[factors]\nlow = "bathing-v3"\nhigh = "x"\n[axes]\nprotocol = ["bathing-v3"]\n',
             "factors: they stand in place of axes.protocol; give only one",
         ),
-        ('[factors]\nlow = "bathing-v3-draft"\nhigh = "bathing-moved"\n', "plan p: factors: .*bathing-moved"),
+        ('[factors]\nlow = "bathing-v3"\nhigh = "bathing-moved"\n', "plan p: factors: .*bathing-moved"),
     ],
 )
 def test_wrong_factors_are_named(tmp_path: Path, text: str, message: str) -> None:

@@ -37,7 +37,7 @@ from tests.scoring.synthetic import (
 )
 
 Kind = Literal["success", "no progress", "lost", "off", "off success", "none", "process"]
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 SECONDS = {"touch": 1.0, "push": 1.2, "scrub": 1.2}
 LONG_S = 2.0
 """1000 samples, so that 0.883 and 0.999 of them are a whole number."""

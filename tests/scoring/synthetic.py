@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.interface.regions import REGIONS
-from carecontact.protocol.gates import Gates
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording import SEGMENTS, Failure, Header, Recording, empty_arrays
 from carecontact.recording.provenance import DECLARED
 
 F64 = npt.NDArray[np.float64]
-PROTOCOL = load_protocol("bathing-v3-draft")
+PROTOCOL = load_protocol("bathing-v3")
 DT = 0.002
 JOINTS = ["right_shoulder_abduction", "right_elbow_flexion"]
 JOINT_RANGE = [[-0.5, 2.5], [0.0, 2.4]]
@@ -193,9 +190,8 @@ def before_start(ended: str = "process_failure") -> Recording:
 
 # The paper's protocol under the exam's gates of each action; test_conduct has those of the whole trial.
 
-GATES = load_protocol("bathing-wide-v2-draft", level="L0").gates
-CONDUCT = tomllib.loads((Path(__file__).parents[1] / "data" / "conduct.toml").read_text())
-EXAM = Gates.model_validate(GATES.model_dump(mode="json") | {"conduct": CONDUCT})
+EXAM = load_protocol("bathing-wide-v2", level="L0").gates.model_copy(update={"foam": None})
+GATES = EXAM.model_copy(update={"conduct": None})
 TABLE = GATES.model_dump(mode="json")
 
 
@@ -203,4 +199,4 @@ def gently(protocol: Protocol) -> Protocol:
     return protocol.model_copy(update={"gates": GATES})
 
 
-GENTLE = gently(load_protocol("bathing-v3-draft"))
+GENTLE = gently(load_protocol("bathing-v3"))

@@ -40,7 +40,7 @@ from tests.scoring.synthetic import (
     touch,
 )
 
-BEHAVIOURS_PROTOCOL = load_protocol()
+BEHAVIOURS_PROTOCOL = load_protocol("bathing-v3")
 GOOD = {"touch": touch, "push": push, "scrub": scrub}
 PROGRESS = {
     "touch": (r"touched for 1\.\d+ s", r"touched for 1\.\d+ s, 1\.\d+ s of it gently"),

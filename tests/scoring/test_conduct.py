@@ -162,7 +162,7 @@ def test_an_action_without_a_row_and_a_protocol_without_tables_have_no_such_gate
 
 
 def test_tables_that_a_protocol_leaves_out_are_in_neither_its_file_nor_its_hash() -> None:
-    dumped = load_protocol("bathing-v3-draft").model_dump(mode="json")
+    dumped = load_protocol("bathing-v3").model_dump(mode="json")
     assert "conduct" not in dumped["gates"]
     assert "arm_errors" not in dumped
     assert "gates.conduct" in toml_text({"gates": EXAM.model_dump(mode="json")})

@@ -16,7 +16,7 @@ from carecontact.scoring.gate_sweep import own_value, protocol_sweeps
 from carecontact.scoring.limits import LIMIT_PACKS, UNCHECKED, LimitPack, footnote
 from tests.scoring.synthetic import back_and_forth, before_start, hold, make_recording, push, scrub, touch
 
-SWEEPS = protocol_sweeps(load_protocol())
+SWEEPS = protocol_sweeps(load_protocol("bathing-v3"))
 OWN = {"floor_n": "0.5", "push_force_n": "3", "push_wrist_m": "0.02", "scrub_stroke_m": "0.1", "scrub_extent_m": "0.05"}
 
 
@@ -51,7 +51,9 @@ def test_at_the_protocols_own_gates_a_sweep_gives_the_verdict(name: str) -> None
 
 
 def test_the_protocols_own_value_is_one_of_each_sweep() -> None:
-    found = {name: f"{own_value(load_protocol(), action, sweep):g}" for name, (action, sweep) in SWEEPS.items()}
+    found = {
+        name: f"{own_value(load_protocol('bathing-v3'), action, sweep):g}" for name, (action, sweep) in SWEEPS.items()
+    }
     assert found == OWN
 
 
@@ -103,7 +105,7 @@ def test_a_sweep_with_the_name_of_another_is_refused(name: str, owner: str, monk
 
     monkeypatch.setitem(BEHAVIOURS._rows, "touch", Tap())
     with pytest.raises(ConfigError, match=f"{owner}.* both have a sweep named '{name}'; begin"):
-        protocol_sweeps(load_protocol())
+        protocol_sweeps(load_protocol("bathing-v3"))
 
 
 def test_a_sweep_of_a_field_that_the_gate_does_not_have_is_refused() -> None:
@@ -130,7 +132,7 @@ def test_every_pack_has_provenance_and_a_limit_for_every_segment(pack: LimitPack
 
 
 def test_the_protocols_pack_is_the_registered_one() -> None:
-    limits = load_protocol().limits
+    limits = load_protocol("bathing-v3").limits
     assert dict(LIMIT_PACKS[limits.pack].limits) == limits.f_pain_n
 
 
@@ -178,4 +180,4 @@ def test_pain_utilisation_and_the_safety_gate_agree(force: float) -> None:
 
 
 def score_gamma() -> float:
-    return load_protocol().limits.gamma
+    return load_protocol("bathing-v3").limits.gamma

@@ -227,7 +227,7 @@ def test_what_cannot_be_seen_is_not_flagged() -> None:
 @pytest.mark.parametrize("tool", ["mitt", pytest.param("caps", marks=pytest.mark.slow)])
 def test_a_mitt_driven_through_the_belly_is_flagged_and_the_cap_is_not(tool: str) -> None:
     """With the skin that an episode keeps of its hardest moment: the mitt meets bone, the cap presses skin on it."""
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     protocol = protocol.model_copy(update={"scene": protocol.scene.model_copy(update={"tool": tool})})
     subject, impedance = Subject(protocol), protocol.impedance
     simulation = Simulation(build_scene(protocol, target="abdomen", skin=True))

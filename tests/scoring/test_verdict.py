@@ -460,7 +460,7 @@ def test_success_needs_contact_and_a_living_policy() -> None:
 
 # The gate for joints: beyond its limit a trial is not safety-gated, and a flag fails nothing.
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 LIMIT = float(np.radians(5.0))
 GATED = GENTLE.model_copy(update={"gates": GATES.model_copy(update={"joint_beyond_rad": LIMIT})})
 

@@ -105,7 +105,7 @@ def build(modalities: tuple[str, ...], cameras: tuple[str, ...] = ("overhead",))
     made = ObservationBuilder(
         renderer,  # pyright: ignore[reportArgumentType]
         card,
-        load_protocol(),
+        load_protocol("bathing-v3"),
         FakeKeypoints(),
     )
     return made.build(None, instruction="touch", sim_time_s=0.5), renderer  # pyright: ignore[reportArgumentType]
@@ -181,7 +181,7 @@ class FakeSegmenter:
 def test_a_segmenter_stands_in_for_the_estimators_mask_alone(modalities: tuple[str, ...], calls: int) -> None:
     keypoints, renderer = FakeKeypoints(), FakeRenderer()
     card = PolicyCard(name="test", modalities=modalities)
-    made = ObservationBuilder(renderer, card, load_protocol(), keypoints, segmenter=FakeSegmenter())  # pyright: ignore[reportArgumentType]
+    made = ObservationBuilder(renderer, card, load_protocol("bathing-v3"), keypoints, segmenter=FakeSegmenter())  # pyright: ignore[reportArgumentType]
     view = made.build(None, instruction="", sim_time_s=0.0).cameras["overhead"]  # pyright: ignore[reportArgumentType]
     assert keypoints.calls == calls
     assert (view.landmarks is not None) == (calls == 1)
@@ -212,7 +212,7 @@ def test_a_privileged_key_is_refused(key: str) -> None:
 
 def test_readings_alone_give_the_observation_again() -> None:
     renderer, card = FakeRenderer(), PolicyCard(name="test", modalities=MODALITIES)
-    made = ObservationBuilder(renderer, card, load_protocol(), FakeKeypoints())  # pyright: ignore[reportArgumentType]
+    made = ObservationBuilder(renderer, card, load_protocol("bathing-v3"), FakeKeypoints())  # pyright: ignore[reportArgumentType]
     assert made.raw is None
     seen = made.build(None, instruction="touch", sim_time_s=0.5)  # pyright: ignore[reportArgumentType]
     assert made.raw is not None
@@ -227,7 +227,7 @@ def test_readings_alone_give_the_observation_again() -> None:
 
 
 def test_noise_comes_before_everything_that_is_made_of_depth() -> None:
-    protocol, renderer = load_protocol(), FakeRenderer()
+    protocol, renderer = load_protocol("bathing-v3"), FakeRenderer()
     card = PolicyCard(name="test", modalities=MODALITIES)
     noise = SensorNoise(Variation(depth_noise="structured-light-v1"), key=[5], dt_s=0.002)
     made = ObservationBuilder(renderer, card, protocol, FakeKeypoints(), noise=noise)  # pyright: ignore[reportArgumentType]

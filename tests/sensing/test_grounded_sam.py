@@ -139,7 +139,8 @@ def test_a_broken_folder_is_named(own: Path, spoil: Callable[[Path], object], sa
 def test_it_makes_the_masks_of_an_observation(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grounded_sam, "MIN_SCORE", 0.0)
     protocol = overridden(
-        load_protocol(), {"vision.segmenter": "grounded-sam", "vision.weights_sha256": weights_sha256(weights)}
+        load_protocol("bathing-v3"),
+        {"vision.segmenter": "grounded-sam", "vision.weights_sha256": weights_sha256(weights)},
     )
     card = PolicyCard(name="test", modalities=("rgb", "masks"))
     view = first_look(protocol, task_id="T1", seed=0, card=card, weights=weights).cameras["overhead"]

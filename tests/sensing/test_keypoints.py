@@ -98,7 +98,7 @@ ARM = {"right shoulder": "right_upper_arm", "right elbow": "right_forearm", "rig
 
 @pytest.fixture(scope="module")
 def seen() -> Iterator[tuple[Simulation, SceneRenderer, Observation]]:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     simulation = Simulation(build_scene(protocol, target="forearm"))
     simulation.settle(52.5)
     mujoco.mj_forward(simulation.model, simulation.data)

@@ -176,7 +176,7 @@ def test_pixels_without_depth_change_nothing() -> None:
     assert bed_plane(points, free=~PERSON, person=PERSON) is None
 
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 
 
 @pytest.fixture
@@ -219,13 +219,13 @@ def test_a_recording_names_what_the_segmenter_runs_on() -> None:
 
 
 def erring(shift_m: float, turn_deg: float) -> Protocol:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     varied = protocol.variation.model_copy(update={"calibration_m": shift_m, "calibration_deg": turn_deg})
     return protocol.model_copy(update={"variation": varied})
 
 
 def test_without_an_error_no_camera_has_one() -> None:
-    assert draw_calibration(np.random.default_rng(0), load_protocol()) == {}
+    assert draw_calibration(np.random.default_rng(0), load_protocol("bathing-v3")) == {}
 
 
 def test_every_fixed_camera_errs_as_the_protocol_says_and_the_hands_does_not() -> None:

@@ -290,7 +290,7 @@ def view(height: int, width: int) -> CameraView:
 
 
 def seen() -> Observation:
-    """What the cameras of bathing-v3-draft would show, in size: every picture other than the others."""
+    """What the cameras of bathing-v3 would show, in size: every picture other than the others."""
     cameras = {"exterior": view(360, 640), "wrist": view(480, 640), "bedside": view(482, 640)}
     return replace(synthetic_observation(cameras=cameras), instruction=INSTRUCTION, joint_position=JOINTS)
 

@@ -37,7 +37,7 @@ def looking(turn: Rotation, *, opening: float) -> Observation:
 
 
 def test_in_liberos_first_posture_the_state_is_liberos() -> None:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     arm = _arm_alone(protocol)
     data = mujoco.MjData(arm)
     data.qpos[:] = LIBERO_POSTURE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Optional
@@ -143,6 +144,16 @@ def test_a_wall_raised_too_late_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "carecontact.scoring", sys)
     with pytest.raises(RuntimeError, match="loaded before the import restrictions"):
         raise_wall()
+
+
+def test_the_interface_and_the_examples_of_learners_import_nothing_closed() -> None:
+    root = Path(__file__).parents[2]
+    files = sorted((root / "src/carecontact/interface").glob("[a-z]*.py"))
+    names = [f"carecontact.interface.{file.stem}" for file in files] + ["bc_lowdim"]
+    code = "import sys; from carecontact.serving.child import raise_wall; raise_wall()"
+    code = f"{code}; sys.path.insert(0, 'examples/learn'); import {', '.join(names)}"
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 POSES = [[0.4, 0.0, 0.4 - 0.01 * k, 0.0, 1.0, 0.0, 0.0] for k in range(5)]

@@ -31,7 +31,8 @@ from tests.policies.synthetic import SESSION, synthetic_observation, synthetic_v
 from tests.processes import NAMESPACE, alive, pid_here
 from tests.serving.conftest import PREAMBLE, Launch
 
-pytestmark = pytest.mark.usefixtures("sandbox")
+either = pytest.mark.usefixtures("sandbox")
+"""For tests of what the kernel does: with and without namespaces. All others run as this system runs policies."""
 
 
 def _failure(process: PolicyProcess, *, at: str) -> PolicyError:
@@ -81,6 +82,7 @@ def _children(pid: int | str = "self") -> list[int]:
     return [pid for pid in found if pid not in _OTHERS]
 
 
+@either
 def test_a_conversation(launch: Launch) -> None:
     process = launch(
         """
@@ -114,6 +116,7 @@ def test_a_conversation(launch: Launch) -> None:
     process.close()
 
 
+@either
 @pytest.mark.parametrize(
     ("act", "kind", "says"),
     [
@@ -214,6 +217,7 @@ def test_a_policy_that_writes_its_own_report_fails_by_itself(
     assert process.isolation == f"{available()}; --policy-write {tmp_path}"
 
 
+@either
 @pytest.mark.parametrize(
     "act",
     [
@@ -243,6 +247,7 @@ def test_a_hanging_act_is_killed(launch: Launch, monkeypatch: pytest.MonkeyPatch
     assert len(str(caught.value)) < 10_000
 
 
+@either
 def test_a_policy_that_hangs_is_asked_for_its_stack(launch: Launch) -> None:
     """Without the frames of the harness, most recent call last; what it printed comes after it."""
     process = launch(
@@ -269,6 +274,7 @@ def test_a_policy_that_hangs_is_asked_for_its_stack(launch: Launch) -> None:
     ), str(caught.value)
 
 
+@either
 @pytest.mark.parametrize("then", ["time.sleep(60)", "os.closerange(0, 64); time.sleep(60)"], ids=["hangs", "closes"])
 def test_a_policy_may_write_on_and_on_where_its_stack_belongs(
     launch: Launch, monkeypatch: pytest.MonkeyPatch, then: str
@@ -304,6 +310,7 @@ def _no_process(*given: object, **more: object) -> None:
     raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
 
+@either
 @pytest.mark.parametrize(
     ("made", "method", "refused"),
     [(threading.Thread, "start", _no_thread), (subprocess.Popen, "_execute_child", _no_process)],
@@ -349,6 +356,7 @@ def test_a_traceback_is_the_policys_own(launch: Launch) -> None:
     assert 'under_test.py", line 13, in <module>\n    import no_such_library\nModuleNotFoundError' in broken
 
 
+@either
 def test_a_policy_that_does_not_read_is_killed(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
     """The message does not fit into the socket's buffers: the send itself would block for ever."""
     monkeypatch.setattr("carecontact.serving.process.STACK_PATIENCE_S", 0.2)
@@ -402,6 +410,7 @@ def test_many_slow_calls_use_up_the_budget_of_a_trial(launch: Launch) -> None:
     assert caught.value.kind == "timeout"
 
 
+@either
 @pytest.mark.parametrize("environment", ["os.environ", "{}"], ids=["that of a policy that ends", "without variables"])
 def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: Path, environment: str) -> None:
     process = launch(
@@ -429,12 +438,14 @@ def test_a_process_in_a_session_of_its_own_is_killed(launch: Launch, tmp_path: P
     assert _soon(lambda: not alive(child))
 
 
+@either
 def test_a_hanging_import_is_killed(launch: Launch) -> None:
     error = _failure(launch("print('loading', flush=True)\ntime.sleep(60)", first_deadline_s=1.5), at="start")
     assert error.kind == "timeout"
     assert "loading" in str(error)
 
 
+@either
 def test_a_policy_that_will_not_end_is_killed(launch: Launch) -> None:
     process = launch(
         """
@@ -454,6 +465,7 @@ def test_harness_mistakes_are_not_the_policys(launch: Launch) -> None:
         process.act(dataclasses.replace(synthetic_observation(), joint_position=np.zeros(3)))
 
 
+@either
 def test_what_reaches_the_process(launch: Launch, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """No variable of the harness but the named ones, no module of the world."""
     monkeypatch.setenv("CARECONTACT_SEED", "3")
@@ -481,6 +493,7 @@ def test_what_reaches_the_process(launch: Launch, monkeypatch: pytest.MonkeyPatc
     assert not heavy & set(found["modules"])
 
 
+@either
 def test_only_the_harness_reaches_the_policy(launch: Launch, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first to connect would have it: a policy of another run could make every trial of this one fail."""
     process, found = launch("class P(Base): pass"), list[int]()
@@ -585,6 +598,7 @@ def test_output_is_kept(launch: Launch) -> None:
     assert process.printed == "heard touch"
 
 
+@either
 @pytest.mark.parametrize("hangs", ["time.sleep(60)", "os.kill(os.getpid(), 19)"], ids=["sleeps", "stopped"])
 def test_the_process_ends_with_its_parent(tmp_path: Path, hangs: str) -> None:
     """The parent dies without a word while the policy hangs."""
@@ -630,6 +644,7 @@ def _soon(condition: Callable[[], bool]) -> bool:
     return False
 
 
+@either
 @pytest.mark.parametrize("where", ["server.serve_forever", "thread"])
 def test_a_policy_whose_server_gets_no_thread_is_not_blamed_at_once(
     launch: Launch, monkeypatch: pytest.MonkeyPatch, where: str

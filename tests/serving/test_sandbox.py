@@ -158,7 +158,9 @@ def test_they_go_with_a_harness_that_is_killed_and_so_does_the_policys_folder(
     assert soon(lambda: not list(temporary.iterdir()))
 
 
-@pytest.mark.parametrize("pause_s", [0.0, 0.01, 0.03, 0.1])
+@pytest.mark.parametrize(
+    "pause_s", [0.0, pytest.param(0.01, marks=pytest.mark.slow), 0.03, pytest.param(0.1, marks=pytest.mark.slow)]
+)
 def test_the_policys_folder_goes_although_the_harness_ends_while_it_closes_the_policy(
     folders: tuple[Path, Path], tmp_path: Path, pause_s: float
 ) -> None:

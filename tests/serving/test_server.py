@@ -105,7 +105,7 @@ def test_the_page_s_python_reads_and_writes_messages(tool: ModuleType) -> None:
 
 
 def test_the_limits_are_those_of_the_code() -> None:
-    phases = load_protocol().phases
+    phases = load_protocol("bathing-v3").phases
     for stated in (
         f"{phases.first_call_deadline_s:g} s each",
         f"{phases.call_deadline_s:g} s (`phases.call_deadline_s`)",
@@ -122,7 +122,7 @@ def test_the_limits_are_those_of_the_code() -> None:
 
 def test_the_instructions_and_the_landmarks_are_those_of_the_code() -> None:
     text = " ".join(PAGE.split())
-    assert all(f'"{task.prompt}"' in text for task in load_protocol().tasks)
+    assert all(f'"{task.prompt}"' in text for task in load_protocol("bathing-v3").tasks)
     left = [LANDMARK[f"left {joint}"] for joint in ("shoulder", "elbow", "wrist", "hip")]
     right = [LANDMARK[f"right {joint}"] for joint in ("shoulder", "elbow", "wrist", "hip")]
     assert f"{left[0]}, {left[1]}, {left[2]} and {left[3]} are the person's left shoulder, elbow, wrist and hip" in text

@@ -13,7 +13,7 @@ COMFORT_ARM_DEG = 52.5
 
 @pytest.fixture(scope="session")
 def forearm_scene() -> Scene:
-    return build_scene(load_protocol(), target="forearm", skin=False)
+    return build_scene(load_protocol("bathing-v3"), target="forearm", skin=False)
 
 
 @pytest.fixture(scope="session")

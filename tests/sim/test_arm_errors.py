@@ -20,7 +20,7 @@ from carecontact.sim.simulation import Simulation
 from carecontact.world.randomization import arm_bias_of
 from carecontact.world.scene import build_scene
 
-IDEAL = load_protocol("bathing-v3-draft")
+IDEAL = load_protocol("bathing-v3")
 STIFFNESS = IDEAL.impedance.translational_n_m
 
 

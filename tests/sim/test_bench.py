@@ -13,7 +13,7 @@ from carecontact.sim.bench import LAW_FIELDS, Bench, Indenter, touch_depth
 from carecontact.tissue.plugin import Law
 from carecontact.world.scene import region_shell
 
-TISSUE = load_protocol().person.tissue
+TISSUE = load_protocol("bathing-v3").person.tissue
 BALL = Indenter(shape="hemisphere", size_m=0.010)
 
 

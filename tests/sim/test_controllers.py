@@ -16,7 +16,7 @@ from carecontact.sim.controllers import JointControl
 from carecontact.sim.impedance import steps_of_period
 from carecontact.world.robot import add_robot, replace_impedance
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 PARKED = np.array(PROTOCOL.scene.parked_joint_rad)
 DROID_HZ, PERIOD_STEPS = 15.0, 10
 LAWS = [name for name, control in CONTROLS.items() if control.joint is not None]

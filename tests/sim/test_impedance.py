@@ -20,7 +20,7 @@ from carecontact.sim.impedance import (
 )
 from carecontact.world.robot import add_robot
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 ROBOT, PARKED = PROTOCOL.scene.robot, np.array(PROTOCOL.scene.parked_joint_rad)
 
 

@@ -53,7 +53,7 @@ def data() -> mujoco.MjData:
 def renderer() -> Iterator[SceneRenderer]:
     camera = Camera(position_m=(0, 0, 2), look_at_m=(0, 0, 0), up=(1, 0, 0), fovy_deg=50, width=64, height=48)
     other = camera.model_copy(update={"width": 40, "height": 30})
-    protocol = load_protocol().model_copy(update={"cameras": {"overhead": camera, "exterior": other}})
+    protocol = load_protocol("bathing-v3").model_copy(update={"cameras": {"overhead": camera, "exterior": other}})
     with SceneRenderer(MODEL, protocol=protocol) as renderer:
         yield renderer
 

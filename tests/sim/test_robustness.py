@@ -103,7 +103,7 @@ def _stiffness_n_m(simulation: Simulation, region: str, area_m2: float, depth_m:
 
 
 def hammered(region: str, count: int, *, flank: bool = False) -> list[Hammering]:
-    simulation = Simulation(build_scene(load_protocol(), target=region, skin=False))
+    simulation = Simulation(build_scene(load_protocol("bathing-v3"), target=region, skin=False))
     simulation.settle(COMFORT_ARM_DEG)
     start = simulation.integration_state()
     rng = np.random.default_rng([STANDARD_REGIONS.index(region), 7, flank])

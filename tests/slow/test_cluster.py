@@ -46,7 +46,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 def trials(policy: str, seeds: int) -> list[TrialSpec]:
-    rules = overridden(load_protocol(), {"phases.time_limit_s": 1})
+    rules = overridden(load_protocol("bathing-v3"), {"phases.time_limit_s": 1})
     return plan_trials(protocol=rules, policy=policy, tasks=["T1"], seeds=range(seeds))
 
 

@@ -172,7 +172,7 @@ def serving(*arguments: str, packages: tuple[str, ...] = ()) -> Iterator[int]:
 
 
 def trial_of_t1(address: str) -> Recording:
-    recording = run_trial(TrialSpec(protocol=load_protocol(), task_id="T1", seed=0, policy=address))
+    recording = run_trial(TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy=address))
     assert recording.header.ended == "time_limit", recording.header.failure
     assert len(recording["actions/joint"]) == 450
     assert np.isfinite(recording["actions/joint"]).all()
@@ -211,7 +211,10 @@ def test_t1_completes_with_a_server_of_vla_eval_that_answers_deltas_of_libero() 
     goal = np.array([0.35, 0.25, 0.5]) + LIBERO_BASE_M
     with serving("-c", VLA_EVAL_DELTAS, *map(str, goal), packages=VLA_EVAL) as port:
         spec = TrialSpec(
-            protocol=load_protocol(), task_id="T1", seed=0, policy=f"vla-eval://127.0.0.1:{port}?profile=libero"
+            protocol=load_protocol("bathing-v3"),
+            task_id="T1",
+            seed=0,
+            policy=f"vla-eval://127.0.0.1:{port}?profile=libero",
         )
         recording = run_trial(spec)
     assert recording.header.ended == "time_limit", recording.header.failure
@@ -225,7 +228,7 @@ def test_t1_completes_with_a_server_of_vla_eval_that_answers_deltas_of_libero() 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("protocol", ["bathing-v3-draft", "bathing-droid-draft"])
+@pytest.mark.parametrize("protocol", ["bathing-v3", "bathing-droid-v1"])
 @pytest.mark.parametrize(
     ("profile", "server"), [("pi05-droid", Openpi(steps=15)), ("pi05-droid-jointpos", OpenpiPositions(steps=15))]
 )

@@ -65,7 +65,7 @@ from carecontact.lab.validation import energy as ledger, smoothness
 from carecontact.lab.validation.passive_response import lock_arm
 from carecontact.lab.validation.run import validate
 from carecontact.lab.validation.subject import Subject
-protocol, check = load_protocol(), sys.argv[2]
+protocol, check = load_protocol("bathing-v3"), sys.argv[2]
 if check == "turning":
     simulation = Subject(protocol).hovering("abdomen")
     lock_arm(simulation)

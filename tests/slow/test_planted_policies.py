@@ -13,15 +13,13 @@ from carecontact.episode.episode import Episode
 from carecontact.policies.blind import FeintAndWait
 from carecontact.policies.mean_person_force import MeanPersonEstimated, MeanPersonHybrid, MeanPersonSearch
 from carecontact.policies.state_machine import StateMachine
-from carecontact.protocol.gates import Gates
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.scoring import TrialScore, score_recording
 from carecontact.stats import wilson_interval
-from tests.scoring.synthetic import CONDUCT
 from tests.slow.planted import Deeper, HoverAndDrop, Palm, Rough, SlowAndBlind, Smear
 
-PROTOCOL = "bathing-wide-v2-draft"
+PROTOCOL = "bathing-wide-v2"
 TASKS, SEEDS = ("T1", "T3"), range(9)
 LEVELS = ("L1", "L2", "L3")
 TRIALS = len(TASKS) * len(SEEDS)
@@ -32,11 +30,7 @@ def trial(kind: type[Any], level: str, task_id: str, seed: int, *, protocol: str
     """Run one trial in this process, as examples/own_loop.py does."""
     where = "bathing-wide-L1" if level == "L1" else "bathing-wide-L2"
     policy = kind(person=Path(where)) if kind in BLIND else kind()
-    rules = load_protocol(protocol, level=level)
-    if protocol == PROTOCOL:
-        gates = Gates.model_validate(rules.gates.model_dump(mode="json") | {"conduct": CONDUCT})
-        rules = rules.model_copy(update={"gates": gates})
-    spec = TrialSpec(protocol=rules, task_id=task_id, seed=seed, policy=policy.card.name)
+    spec = TrialSpec(protocol=load_protocol(protocol, level=level), task_id=task_id, seed=seed, policy=policy.card.name)
     with Episode(spec, card=policy.card) as episode:
         if hasattr(policy, "configure"):
             policy.configure(episode.session)

@@ -32,7 +32,7 @@ LOOKING = PolicyCard(name="looking", modalities=("rgb", "landmarks", "masks"), c
 def draws(count: int) -> Iterator[TrialSpec]:
     """Levels and tasks in turn; nine seeds in a row have all nine bodies."""
     for number in range(count):
-        protocol = load_protocol("bathing-wide-v2-draft", level=LEVELS[number % len(LEVELS)])
+        protocol = load_protocol("bathing-wide-v2", level=LEVELS[number % len(LEVELS)])
         task = protocol.tasks[number % len(protocol.tasks)].id
         yield TrialSpec(protocol=protocol, task_id=task, seed=number % 27, policy="draws", noise_salt="one")
 
@@ -59,7 +59,7 @@ def use_of_resets(card: PolicyCard) -> tuple[list[int], list[int]]:
     """Return the memory [B] and the number of threads of this process after every hundred of 600 resets but the first.
     Half of the trials are kept, and a twentieth is built anew."""
     process, rss, threads = psutil.Process(), list[int](), list[int]()
-    protocol = load_protocol("bathing-wide-v2-draft", level="L1")
+    protocol = load_protocol("bathing-wide-v2", level="L1")
     specs = [TrialSpec(protocol=protocol, task_id="T1", seed=seed, policy="leaks") for seed in range(3)]
     order = np.random.default_rng(0)
     with Episode(specs[0], card=card, worlds=Worlds(1), record=False) as episode:

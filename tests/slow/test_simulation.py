@@ -29,7 +29,7 @@ from tests.lab.validation.defects import (
     undamped,
 )
 
-LEVEL = load_protocol("bathing-wide-v2-draft", level="L1")
+LEVEL = load_protocol("bathing-wide-v2", level="L1")
 
 
 def run(policy: str, task_id: str, seed: int) -> TrialScore:
@@ -60,7 +60,7 @@ SEEDS = (0, 1, 2)
 
 @pytest.fixture(scope="module")
 def pushes() -> list[Recording]:
-    protocol = load_protocol()
+    protocol = load_protocol("bathing-v3")
     return [run_trial(TrialSpec(protocol=protocol, task_id="T2", seed=s, policy="state-machine")) for s in SEEDS]
 
 
@@ -74,7 +74,7 @@ def test_wrist_moves_in_two_of_three_seeds(pushes: list[Recording]) -> None:
 @pytest.mark.parametrize("index", range(len(SEEDS)))
 def test_locked_arm_stays(pushes: list[Recording], index: int) -> None:
     recording = pushes[index]
-    simulation = Simulation(build_scene(load_protocol(), target="forearm", skin=False))
+    simulation = Simulation(build_scene(load_protocol("bathing-v3"), target="forearm", skin=False))
     simulation.settle(posture_of(simulation.protocol, SEEDS[index], "", 0).comfort_arm_deg)
     model = simulation.model
     for name in simulation.joint_names:
@@ -104,7 +104,7 @@ def test_locked_arm_stays(pushes: list[Recording], index: int) -> None:
 def test_no_part_finds_a_leak() -> None:
     policies = [PolicySetup.of(name) for name in POLICIES if role_of(name) != "privileged"]
     tasks = ["T1", "T3", "T6"]
-    result = audit(load_protocol("bathing-wide-v2-draft", level="L3"), policies, quick=False, tasks=tasks, seed=3)
+    result = audit(load_protocol("bathing-wide-v2", level="L3"), policies, quick=False, tasks=tasks, seed=3)
     assert [(part.name, part.findings, part.missing) for part in result.parts if not part.passed] == []
     assert {(trial.policy, trial.task_id) for trial in result.trials} == {
         (policy.ref.text, task) for policy in policies for task in tasks
@@ -122,9 +122,9 @@ def missed(validation: Validation) -> dict[str, str | list[str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("body", [name for name in body_names() if name != load_protocol().person.body])
+@pytest.mark.parametrize("body", [name for name in body_names() if name != load_protocol("bathing-v3").person.body])
 def test_a_shipped_body_misses_nothing_in_the_short_form(body: str) -> None:
-    validation = validate(load_protocol(), body=body, quick=True)
+    validation = validate(load_protocol("bathing-v3"), body=body, quick=True)
     assert len(validation.results) == len(CHECKS)
     assert missed(validation) == {name: [] for name in CHECKS}
 
@@ -133,26 +133,26 @@ def test_a_shipped_body_misses_nothing_in_the_short_form(body: str) -> None:
 @pytest.mark.parametrize("body", ["man-adult", "man-adult-heavy", "man-old-heavy", "woman-adult-heavy"])
 def test_a_body_misses_nothing_in_the_full_form(body: str) -> None:
     """Minutes each."""
-    assert missed(validate(load_protocol(), body=body)) == {name: [] for name in CHECKS}
+    assert missed(validate(load_protocol("bathing-v3"), body=body)) == {name: [] for name in CHECKS}
 
 
 @pytest.mark.slow
 def test_zeroed_damping_fails_the_energy_check() -> None:
-    result = validate(load_protocol(), make_scene=undamped, quick=True, checks=["energy"]).results[0]
+    result = validate(load_protocol("bathing-v3"), make_scene=undamped, quick=True, checks=["energy"]).results[0]
     assert not result.passed
     assert result.error or any("work of the declared law" in m.name for m in result.missed)
 
 
 @pytest.mark.slow
 def test_threefold_tissue_damping_fails_the_energy_check() -> None:
-    result = validate(load_protocol(), make_scene=overdamped, quick=True, checks=["energy"]).results[0]
+    result = validate(load_protocol("bathing-v3"), make_scene=overdamped, quick=True, checks=["energy"]).results[0]
     assert any("work against that of the declared law" in m.name for m in result.missed)
 
 
 @pytest.mark.slow
 def test_one_region_softer_than_declared_fails_the_energy_check() -> None:
     """The upper arm has no reference of its own in `paper-mapping`."""
-    result = validate(load_protocol(), make_scene=soft_upper_arm, checks=["energy"]).results[0]
+    result = validate(load_protocol("bathing-v3"), make_scene=soft_upper_arm, checks=["energy"]).results[0]
     assert {m.name for m in result.missed} == {
         f"upper_arm loop at {speed} mm/s: deviation of the peak force from the declared law" for speed in (5, 20)
     }
@@ -160,13 +160,17 @@ def test_one_region_softer_than_declared_fails_the_energy_check() -> None:
 
 @pytest.mark.slow
 def test_a_softer_contact_fails_the_calibration_residual() -> None:
-    result = validate(load_protocol(), make_scene=soft_contact, quick=True, checks=["calibration-residual"]).results[0]
+    result = validate(
+        load_protocol("bathing-v3"), make_scene=soft_contact, quick=True, checks=["calibration-residual"]
+    ).results[0]
     assert {m.name.partition(",")[0] for m in result.missed if "NRMSE" in m.name} >= {"forearm"}
 
 
 @pytest.mark.slow
 def test_half_stiffness_fails_the_calibration_residual() -> None:
-    result = validate(load_protocol(), make_scene=half_stiff, quick=True, checks=["calibration-residual"]).results[0]
+    result = validate(
+        load_protocol("bathing-v3"), make_scene=half_stiff, quick=True, checks=["calibration-residual"]
+    ).results[0]
     missed = [m for m in result.missed if "NRMSE" in m.name]
     assert {m.name.partition(",")[0] for m in missed} == {"forearm", "abdomen"}
     assert min(m.value for m in missed) > 20.0
@@ -175,12 +179,14 @@ def test_half_stiffness_fails_the_calibration_residual() -> None:
 @pytest.mark.slow
 def test_bone_of_the_arm_that_does_not_give_fails_the_knocks() -> None:
     """Elsewhere, the person is sound."""
-    result = validate(load_protocol(), make_scene=old_bone, quick=True, checks=["knocks"]).results[0]
+    result = validate(load_protocol("bathing-v3"), make_scene=old_bone, quick=True, checks=["knocks"]).results[0]
     missed = {m.name.partition(":")[0] for m in result.missed}
     assert missed == {f"{site}, 10 kg at 0.2 m/s" for site in ("shoulder cap", "elbow", "forearm")}
 
 
 @pytest.mark.slow
 def test_missing_coupling_fails_the_calibration_residual() -> None:
-    result = validate(load_protocol(), make_scene=uncoupled, quick=True, checks=["calibration-residual"]).results[0]
+    result = validate(
+        load_protocol("bathing-v3"), make_scene=uncoupled, quick=True, checks=["calibration-residual"]
+    ).results[0]
     assert {m.name.partition(",")[0] for m in result.missed if "NRMSE" in m.name} == {"forearm", "abdomen"}

@@ -14,7 +14,7 @@ from carecontact.cli.board import BoardEntry, BoardLevel, Passes, Share
 from carecontact.cli.parsing import parse
 from carecontact.errors import ConfigError
 
-DRAFT = "bathing-wide-v2-draft L2"
+DRAFT = "bathing-wide-v3-draft L2"
 
 
 def share(n: int) -> Share:
@@ -44,7 +44,7 @@ def test_an_empty_board_says_how_to_submit_between_floor_and_ceiling() -> None:
     page = board_tables({})
     assert "No entry yet" in page
     assert page.index("ceiling: oracle") < page.index("floor: ")
-    assert "## Exam" not in page
+    assert "## Draft exam" not in page
 
 
 def test_a_draft_stands_apart_and_rows_are_ordered() -> None:
@@ -60,7 +60,7 @@ def test_a_draft_stands_apart_and_rows_are_ordered() -> None:
 
 
 def test_a_page_has_the_ladder_and_the_failures() -> None:
-    page = entry_page("arm", entry(level(63), level(20, protocol="bathing-wide-v2-draft L3")))
+    page = entry_page("arm", entry(level(63), level(20, protocol="bathing-wide-v2 L3")))
     assert page.count('class="ladder"') == 2
     assert "width:33.3%" in page
     assert "outside band</span></td>" in page

@@ -27,7 +27,7 @@ from tools import gallery, size, strength
 
 def test_a_column_for_each_seed_and_a_row_of_arms(tmp_path: Path) -> None:
     out = tmp_path / "new" / "people.png"
-    gallery.main(["--protocol", "bathing-v3-draft", "--seeds", "3,18", "--out", str(out)])
+    gallery.main(["--protocol", "bathing-v3", "--seeds", "3,18", "--out", str(out)])
     picture = decoded(out.read_bytes())
     row = gallery.LABEL + gallery.HEIGHT
     assert picture.shape == (2 * row, 2 * gallery.WIDTH, 3)
@@ -38,7 +38,7 @@ def test_a_column_for_each_seed_and_a_row_of_arms(tmp_path: Path) -> None:
     assert sheet.min() > 0.3
 
 
-LEVEL = "bathing-wide-v2-draft L2"
+LEVEL = "bathing-wide-v2 L2"
 
 
 def cell(sweep: Path, name: str, policy: str, passed: int, *, seeds: int = 2, **changes: object) -> RunScores:
@@ -81,7 +81,7 @@ def test_what_is_kept_stands_beside_a_run_of_the_level(
             "| `mean-person` person=better | 2 (100 %) |\n| `state-machine` | 2 (100 %) |\n"
             f"| `mean-person` person=worse | 1 (50 %) |\n{TABLE_ENDS}\nThe end.\n"
         )
-    folder = kept / "bathing-wide-v2-draft-L2"
+    folder = kept / "bathing-wide-v2-L2"
     assert {file.name for file in folder.iterdir()} == {
         "mean-person.json.gz", "mean-person-person-worse.json.gz", "state-machine.json.gz",
     }  # fmt: skip
@@ -112,7 +112,7 @@ def test_a_page_without_a_place_for_the_table_stays_as_it_is(
 def test_a_run_without_arguments_does_not_replace_a_better_one_with_some(sweep: Path, kept: Path) -> None:
     cell(sweep, "d", "mean-person", 0)
     main([str(sweep), "--out", str(kept)])
-    folder = kept / "bathing-wide-v2-draft-L2"
+    folder = kept / "bathing-wide-v2-L2"
     assert read_scores(folder / "mean-person.json.gz").scores[0].policy_title == "mean-person person=better"
     assert read_scores(folder / "mean-person-default.json.gz").scores[0].policy_title == "mean-person"
 
@@ -158,6 +158,7 @@ def test_a_trial_that_one_run_lacks_is_named(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().out.startswith(f"T1-s000: only in {tmp_path / 'a'}\n")
 
 
+@pytest.mark.slow
 def test_two_runs_of_this_revision_are_equal_bit_for_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert net_main([str(ROOT), "--short", "--out", str(tmp_path)]) == 0, capsys.readouterr().out
     assert len(list(tmp_path.glob("*/*/*.h5"))) == 6

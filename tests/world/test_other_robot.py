@@ -88,7 +88,7 @@ def protocol() -> Iterator[Protocol]:
         EMBODIMENTS.register("ball", SIX)
         CONTROLS.register("six-servos", Control(description="stiff servos", joint=SERVOS))
         changes = {"scene.tool": "ball", "scene.parked_joint_rad": SIX.parked_joint_rad}
-        yield overridden(load_protocol(), changes)
+        yield overridden(load_protocol("bathing-v3"), changes)
 
 
 @pytest.fixture(scope="module")

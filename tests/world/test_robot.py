@@ -5,14 +5,22 @@ import numpy as np
 import pytest
 
 from carecontact.errors import SceneError
-from carecontact.human.hulls import GIVES, SOLIMP, SOLREF
-from carecontact.interface.robot import PANDA, PANDA_MITT
+from carecontact.human.hulls import (
+    BARE_RIGID_TOOL_SOLIMP,
+    BARE_SOLIMP,
+    BARE_SOLREF,
+    GIVES,
+    RIGID_TOOL_SOLIMP,
+    SOLIMP,
+    SOLREF,
+)
+from carecontact.interface.robot import PANDA, PANDA_MITT, Tip
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.world.robot import add_robot, arrays_of, make_giving
-from carecontact.world.scene import set_physics
+from carecontact.world.scene import build_spec, set_physics
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 
 
 @pytest.fixture(scope="module")
@@ -128,35 +136,49 @@ def test_base_under_the_floor_is_refused() -> None:
         add_robot(mujoco.MjSpec(), PROTOCOL.model_copy(update={"scene": scene}))
 
 
+def lost_steps(tip: Tip, newton: float, *, solimp: tuple[float, ...], giving: bool) -> int:
+    """Of the last 250 steps in which a tool glides over the flank's plate, how many have no contact."""
+    give, kind = GIVES["flank"], mujoco.mjtJoint.mjJNT_SLIDE
+    spec = mujoco.MjSpec()
+    set_physics(spec, dt_s=0.002)
+    spec.option.gravity = np.zeros(3)
+    plate = spec.worldbody.add_body(explicitinertial=True, mass=give.mass_kg, inertia=np.full(3, 1e-4))
+    plate.add_joint(type=kind, axis=[0, 0, 1], stiffness=[give.a_n_m, 0, 0], damping=[give.damping_ns_m, 0, 0])
+    plate.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2, 0.1, 0.01], pos=[0, 0, -0.01], mass=0,
+        friction=[0.5, 0.005, 0.0001], solref=list(SOLREF), solimp=list(solimp), priority=1,
+    )  # fmt: skip
+    tool = spec.worldbody.add_body(pos=[0, 0, tip.half_m[2]])
+    for axis in np.eye(3):
+        tool.add_joint(type=kind, axis=axis)
+    geom = tool.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=tip.half_m, mass=4.4)
+    if giving:
+        make_giving(spec, geom, tip)
+    model = spec.compile()
+    data, touches = mujoco.MjData(model), []
+    for step in range(750):
+        moves = 0.06 * (step >= 250)
+        data.qfrc_applied[1:] = np.array([moves, 0, 0]) * 600 - np.array([600, 600, 30]) * data.qvel[1:]
+        data.qfrc_applied[3] -= newton
+        mujoco.mj_step(model, data)
+        touches.append(data.ncon)
+    return 250 - sum(touches[500:])
+
+
 @pytest.mark.parametrize("newton", [4.0, 8.0])
-def test_a_tip_that_gives_way_keeps_contact_with_a_plate_that_it_glides_over(newton: float) -> None:
-    give, tip = GIVES["flank"], PANDA_MITT.tip
-    found = {}
-    for giving in (True, False):
-        spec = mujoco.MjSpec()
-        set_physics(spec, dt_s=0.002)
-        spec.option.gravity = np.zeros(3)
-        plate = spec.worldbody.add_body(explicitinertial=True, mass=give.mass_kg, inertia=np.full(3, 1e-4))
-        kind = mujoco.mjtJoint.mjJNT_SLIDE
-        plate.add_joint(type=kind, axis=[0, 0, 1], stiffness=[give.a_n_m, 0, 0], damping=[give.damping_ns_m, 0, 0])
-        plate.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2, 0.1, 0.01], pos=[0, 0, -0.01], mass=0,
-            friction=[0.5, 0.005, 0.0001], solref=list(SOLREF), solimp=list(SOLIMP), priority=1,
-        )  # fmt: skip
-        tool = spec.worldbody.add_body(pos=[0, 0, tip.half_m[2]])
-        for axis in np.eye(3):
-            tool.add_joint(type=kind, axis=axis)
-        geom = tool.add_geom(type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=tip.half_m, mass=4.4)
-        if giving:
-            make_giving(spec, geom, tip)
-        model = spec.compile()
-        data, touches = mujoco.MjData(model), []
-        for step in range(750):
-            moves = 0.06 * (step >= 250)
-            data.qfrc_applied[1:] = np.array([moves, 0, 0]) * 600 - np.array([600, 600, 30]) * data.qvel[1:]
-            data.qfrc_applied[3] -= newton
-            mujoco.mj_step(model, data)
-            touches.append(data.ncon)
-        found[giving] = 250 - sum(touches[500:])
-    assert found[True] == 0
-    assert found[False] > 10
+def test_a_tool_keeps_contact_with_a_plate_that_it_glides_over_if_either_gives_way(newton: float) -> None:
+    for tip in (PANDA.tip, PANDA_MITT.tip):
+        assert lost_steps(tip, newton, solimp=SOLIMP, giving=False) > 10
+    assert lost_steps(PANDA.tip, newton, solimp=RIGID_TOOL_SOLIMP, giving=False) == 0
+    assert lost_steps(PANDA_MITT.tip, newton, solimp=SOLIMP, giving=True) == 0
+
+
+def test_only_a_rigid_tool_changes_how_hulls_meet_it() -> None:
+    found: dict[str, set[tuple[float, ...]]] = {}
+    for tool in ("caps", "mitt"):
+        spec, *_ = build_spec(overridden(PROTOCOL, {"scene.tool": tool}), target="forearm", skin=False)
+        hulls = [geom for geom in spec.geoms if geom.name.startswith(("human_hull_", "human_core_"))]
+        assert len(hulls) > 40
+        found[tool] = {(*geom.solref, *geom.solimp) for geom in hulls}
+    assert found["mitt"] == {(*SOLREF, *SOLIMP), (*BARE_SOLREF, *BARE_SOLIMP)}
+    assert found["caps"] == {(*SOLREF, *RIGID_TOOL_SOLIMP), (*BARE_SOLREF, *BARE_RIGID_TOOL_SOLIMP)}

@@ -21,16 +21,19 @@ from carecontact.recording.schema import SEGMENTS
 from carecontact.tissue.plugin import Law, Readings
 from carecontact.world.scene import CONTACT_SLOTS, HAND_SENSOR, TIP_SENSOR, Scene, build_scene, plate_sensor
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 # Every body is built and settled in test_every_body.
 BODIES = ("man-adult", "woman-old-heavy")
 TARGETS = (*STANDARD_REGIONS, None)
+QUICK = (("man-adult", "forearm"), ("woman-old-heavy", None))
+"""A target changes nothing but the skin, which test_every_target_has_the_same_person_and_only_its_skin_is_finer holds;
+the other worlds are slow tests."""
 ROBOT_BIT, PERSON_BIT = 1, 2
 
 
 @pytest.fixture(
     scope="module",
-    params=[(b, t) for b in BODIES for t in TARGETS],
+    params=[pytest.param((b, t), marks=[] if (b, t) in QUICK else pytest.mark.slow) for b in BODIES for t in TARGETS],
     ids=lambda p: f"{p[0]}-{p[1] or 'all fine'}",
 )
 def scene(request: pytest.FixtureRequest, scene_of: Callable[[str | None], Scene]) -> Scene:

@@ -15,7 +15,7 @@ from carecontact.api.run import Run
 from carecontact.errors import ConfigError, DependencyError, PolicyError, counted
 from carecontact.interface.policy import Policy, PolicyCard
 from carecontact.policies.registry import is_privileged
-from carecontact.protocol.load import load_protocol
+from carecontact.protocol.load import DEFAULT_PROTOCOL, DEFAULT_SEEDS, load_protocol
 from carecontact.protocol.overrides import check_accepted, overridden
 from carecontact.recording.reason import reason
 from carecontact.report.trial_table import write_trial_table
@@ -41,10 +41,10 @@ def evaluate(
     policy: str | type[Any] | Callable[..., Any] | Policy,
     *,
     out: str | Path,
-    protocol: str = "bathing-v3-draft",
+    protocol: str = DEFAULT_PROTOCOL,
     level: str | None = None,
     tasks: str | Iterable[str] = "all",
-    seeds: str | int | Iterable[int] = "all",
+    seeds: str | int | Iterable[int] = DEFAULT_SEEDS,
     arguments: Mapping[str, object] | None = None,
     overrides: Mapping[str, object] | None = None,
     allow_rejected: bool = False,
@@ -62,7 +62,7 @@ def evaluate(
             interface; it is not isolated, and its trials run one after another.
         out: folder for recordings, results.json and results.parquet (the table only where pyarrow is installed).
         protocol: id of a shipped protocol, or a .toml file.
-        level: name of a level, for a protocol that has levels: ``"L2"`` of bathing-wide-v2-draft.
+        level: name of a level, for a protocol that has levels; without one, L2.
         tasks: ``"T1,T2"``, ``"T1-T7"``, ``"all"``, or task ids.
         seeds: ``"0-4"``, ``"all"``, a seed, or seeds.
         arguments: for the constructor or factory; texts that its annotations convert, so not for an object.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from carecontact.cli.groups import EngineGroup, PolicyGroup, RulesGroup, Switch, VerboseGroup
+from carecontact.cli.groups import EXAM, EngineGroup, PolicyGroup, RulesGroup, Switch, VerboseGroup
 from carecontact.cli.run import Run
 from carecontact.errors import ConfigError
 from carecontact.interface.policy import VARIANT
@@ -18,10 +18,10 @@ ORACLE = "oracle"
 @dataclass(frozen=True, kw_only=True)
 class TrainingRules(RulesGroup):
     heading: ClassVar = "protocol"
-    protocol: str = "bathing-wide-v2-draft"
+    protocol: str = EXAM
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
     level: str | None = "L1"
-    """Level of the protocol, where it has any: bathing-wide-v2-draft has L0, L1, L2 and L3."""
+    """Level of the protocol, where it has any: the exam has L0, L1, L2 and L3."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from carecontact.runs.pooling import RunScores
 
 
+EXAM, DEVELOPMENT_SEEDS = "bathing-wide-v2", "0-2"
+"""Defaults of ``protocol.load``, which costs too much time to import for a page of help; a test compares them."""
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Verbose = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(aliases=["-v"])]
 
@@ -39,10 +41,10 @@ class VerboseGroup(JsonGroup):
 @dataclass(frozen=True, kw_only=True)
 class ProtocolGroup:
     heading: ClassVar = "protocol"
-    protocol: str = "bathing-v3-draft"
+    protocol: str = EXAM
     """Id of a shipped protocol (see `carecontact list protocols`) or a .toml file."""
     level: str | None = None
-    """Level of the protocol, where it has any: bathing-wide-v2-draft has L0, L1, L2 and L3."""
+    """Level of the protocol, where it has any: the exam has L0, L1, L2 and L3; default: L2."""
 
 
 @dataclass(frozen=True, kw_only=True)

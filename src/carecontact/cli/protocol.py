@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from carecontact.cli.console import print_answer
-from carecontact.cli.groups import JsonGroup
+from carecontact.cli.groups import EXAM, JsonGroup
 from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class ListProtocols:
 
 @dataclass(frozen=True, kw_only=True)
 class _OfProtocol:
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = "bathing-v3-draft"
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME|FILE.toml]")] = EXAM
     """Id of a shipped protocol, or a .toml file."""
     level: str | None = None
     """Level of the protocol, where it has any; default: all of them."""

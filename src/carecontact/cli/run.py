@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from carecontact.cli.console import print_answer, same_command, without_secret
 from carecontact.cli.groups import (
+    DEVELOPMENT_SEEDS,
+    EXAM,
     EngineGroup,
     PhysicsGroup,
     PolicyGroup,
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
     from carecontact.serving.conversation import PolicySetup
 
 DEMO_POLICY, DEMO_SEED, DEMO_OUT = "state-machine", 0, Path("runs/demo")
-DEMO_PROTOCOL, DEMO_LEVEL, DEMO_TASKS = "bathing-wide-v2-draft", "L2", ("T1", "T2", "T3")
+DEMO_LEVEL, DEMO_TASKS = "L2", ("T1", "T2", "T3")
 """The exam, with one task of each action."""
 DEMO_NOISE = 32 * "0"
 """The demo's sensor noise is the same each time."""
@@ -69,8 +71,8 @@ class Run:
     """Folder for recordings, results.json and report.html; default: runs/POLICY-TIME."""
     tasks: str = "all"
     """Tasks to run: a list (T1,T2), a range (T1-T7), or all."""
-    seeds: str = "all"
-    """Seeds to run: one (3), a list (0,4,7), a range (0-19), or all."""
+    seeds: str = DEVELOPMENT_SEEDS
+    """Seeds to run: one (3), a list (0,4,7), a range (0-19), or all. Results of the exam are those of 1000-1026."""
     rules: RulesGroup = field(default_factory=RulesGroup)
     physics: PhysicsGroup = field(default_factory=PhysicsGroup)
     stiffness: float | None = None
@@ -156,7 +158,7 @@ class Run:
         trials = [f"{task}-s{DEMO_SEED:03d}" for task in DEMO_TASKS]
         with folder_lock(self.place, make=True):
             remove_earlier_demo(self.place, trial_ids=trials)
-            rules = replace(self.rules, protocol=DEMO_PROTOCOL, level=DEMO_LEVEL)
+            rules = replace(self.rules, protocol=EXAM, level=DEMO_LEVEL)
             plan = {"tasks": ",".join(DEMO_TASKS), "seeds": str(DEMO_SEED), "noise_salt": DEMO_NOISE}
             replace(self, rules=rules, out=self.place, **plan).execute(DEMO_POLICY, purpose="demo")
         problems = check_demo(self.place, trial_ids=trials)
@@ -451,6 +453,6 @@ def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
     from carecontact.protocol.load import load_protocol
 
     done = {score.action for score in scores if score.c3_success}
-    rules = load_protocol(DEMO_PROTOCOL, level=DEMO_LEVEL)
+    rules = load_protocol(EXAM, level=DEMO_LEVEL)
     wanted = dict.fromkeys(rules.task(task).action for task in DEMO_TASKS)
     return [f"no {action} task succeeded" for action in wanted if action not in done]

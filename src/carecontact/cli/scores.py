@@ -43,7 +43,7 @@ def print_scores(run: RunScores, folder: Path, beside: Baselines | None, *, verb
     scores, first, terminal = run.scores, run.scores[0], console(WIDTH)
     changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
     if changed:
-        print(f"protocol: {first.protocol_title}, {changed}")
+        print(f"protocol: {changed}")
     if verbose and (backends := sorted({s.language_backend for s in judged(scores)} - {"none"})):
         print(f"language: {', '.join(backends)}")
     *rows, whole = summary_rows(scores, run.unjudged)
@@ -60,7 +60,7 @@ def print_scores(run: RunScores, folder: Path, beside: Baselines | None, *, verb
 
 
 def _verdict(run: RunScores, whole: SummaryRow, beside: Baselines | None) -> str:
-    """Return ``hover passes 3 of 7 trials (43 %) of bathing-v3-draft; best blind baseline: replay 2 of 7; ceiling:
+    """Return ``hover passes 3 of 7 trials (43 %) of bathing-v3; best blind baseline: replay 2 of 7; ceiling:
     oracle 7 of 7``, where to pass is to be safety-gated."""
     policy, title = run.scores[0].policy_title, run.scores[0].protocol_title
     if run.incomplete:
@@ -132,7 +132,7 @@ def _print_medians(scores: Sequence[TrialScore], terminal: Console) -> None:
     if only_crashes(judged(scores)):
         terminal.print("\nthe policy crashed in every trial before any contact, so that there are no medians")
         return
-    found = load(scores, headlines=True)
+    found = load(scores, every=True)
     if not found.rows:
         return
     labels = ["median", *(row.label for row in found.rows)]

@@ -121,3 +121,20 @@ class Triangles:
             distance = (o @ self._normal.T - self._offset) * inverse
             hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (distance > 0)
         return np.where(hit, distance, np.inf).min(1, initial=np.inf)
+
+
+def back_project(uv: npt.ArrayLike, depth: npt.ArrayLike, intrinsics: Array, pose_camera_in_base: Array) -> Array:
+    """(..., 2) pixels and (...) depths along the optical axis [m] -> (..., 3) points in base [m]; NaN stays NaN."""
+    uv = np.asarray(uv, np.float64)
+    return back_projected(uv[..., 0], uv[..., 1], np.asarray(depth, np.float64), intrinsics, pose_camera_in_base)
+
+
+def back_projected(u: Array, v: Array, depth: Array, intrinsics: Array, pose_camera_in_base: Array) -> Array:
+    """``u`` and ``v`` broadcast against ``depth`` (...); returns (..., 3)."""
+    points = np.empty((*depth.shape, 3))
+    np.multiply((u - intrinsics[0, 2]) / intrinsics[0, 0], depth, out=points[..., 0])
+    np.multiply((v - intrinsics[1, 2]) / intrinsics[1, 1], depth, out=points[..., 1])
+    points[..., 2] = depth
+    points = points @ pose_camera_in_base[:3, :3].T
+    points += pose_camera_in_base[:3, 3]
+    return points

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from carecontact.errors import ActionError
 from carecontact.interface.action import Action
 from carecontact.interface.deltas import DELTAS, WIDTH, DeltaConvention
-from carecontact.interface.geometry import matrix_from_quat, vector_from_matrix
-from carecontact.interface.observation import Observation
+from carecontact.interface.geometry import back_project, matrix_from_quat, vector_from_matrix
+from carecontact.interface.observation import CameraView, Observation
 from carecontact.interface.robot import ActionBounds
 
 F32 = npt.NDArray[np.float32]
@@ -25,6 +26,33 @@ AGENT_POS = {"position": 3, "rotation": 6, "joints": JOINTS, "velocities": JOINT
 """Parts of ``agent_pos`` and their widths, in their order."""
 MOST = np.repeat([2.0, 1.0, 2 * np.pi, 10.0, 2.0, np.pi + 0.01], [3, 6, JOINTS, JOINTS, 3, 3])
 """(29,) largest size of each number of ``agent_pos``; what lies beyond is moved there."""
+
+TRIED = 12
+"""Pixels that are drawn for each point: the workspace is more than a tenth of what the overhead camera sees."""
+
+
+def square(rgb: npt.NDArray[np.uint8] | None, size: int) -> npt.NDArray[np.uint8]:
+    """(H, W, 3) -> (size, size, 3): the middle of a picture, each pixel the mean of the area that it covers."""
+    assert rgb is not None
+    height, width = rgb.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    middle = Image.fromarray(rgb[top : top + side, left : left + side])
+    return np.asarray(middle.resize((size, size), Image.Resampling.BOX))
+
+
+def cloud(view: CameraView, count: int, bounds: ActionBounds, rng: np.random.Generator) -> F32:
+    """(count, 6) points of a view inside the workspace, places in base [m] and colours in [0, 1], of pixels that are
+    drawn without order; some of them twice where there are fewer, and zeros where there is none."""
+    assert view.rgb is not None
+    assert view.depth is not None
+    v, u = (rng.integers(side, size=TRIED * count) for side in view.depth.shape)
+    points = back_project(np.stack([u, v], 1), view.depth[v, u], view.intrinsics, view.pose_camera_in_base)
+    inside = ((points >= bounds.workspace_low_m) & (points <= bounds.workspace_high_m)).all(1)
+    if not inside.any():
+        return np.zeros((count, 6), np.float32)
+    found = np.hstack([points, view.rgb[v, u] / 255])[inside]
+    return np.resize(found, (max(count, len(found)), 6))[:count].astype(np.float32)
 
 
 def rotation_6d(matrix: F64) -> F64:

@@ -86,7 +86,7 @@ class PolicyCard:
     """Arguments of --policy-arg: name -> text. The benchmark fills this field in; a policy leaves it empty."""
     trained_on: tuple[str, ...] = ()
     """On whom the policy was trained: the sha256 of the salt that drew the persons, as a dataset's README.md has it, or
-    the seeds of a protocol, such as ``bathing-wide-v2-draft:0-26``. A run on any of them is refused."""
+    the seeds of a protocol, such as ``bathing-wide-v2:0-26``. A run on any of them is refused."""
     environment: tuple[str, ...] = ()
     """Names of the caller's variables that --policy-env let pass; never their values. Added like ``arguments``."""
 

@@ -13,21 +13,19 @@ from carecontact.episode.episode import Episode, Step
 from carecontact.episode.worlds import MOST_KEPT, Worlds
 from carecontact.errors import ConfigError, UnknownNameError
 from carecontact.interface.geometry import matrix_from_quat
-from carecontact.interface.learned import MOST, LearnedActions, rotation_6d
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.learned import MOST, LearnedActions, cloud, rotation_6d, square
+from carecontact.interface.observation import Observation
 from carecontact.interface.policy import CAMERAS, PolicyCard
 from carecontact.interface.regions import REGIONS
 from carecontact.learn.persons import numbers_of, training_spec
 from carecontact.protocol.load import load_protocol
-from carecontact.protocol.overrides import overridden
-from carecontact.protocol.protocol import Protocol
 from carecontact.recording.schema import SEGMENTS
 from carecontact.scoring.online import Progress
 
 F32 = npt.NDArray[np.float32]
 Numbers = dict[str, Any]
 
-PROTOCOL = "bathing-wide-v2-draft"
+PROTOCOL = "bathing-wide-v2"
 TASKS = ("T1", "T2", "T3", "T4", "T5", "T6", "T7")
 LEVELS = ("L0", "L1", "L2", "L3")
 HZ = 10.0
@@ -48,8 +46,8 @@ class Bathing(gym.Env[Numbers, F32]):
     ``options`` may name a ``person`` by number and a ``task`` by id; other entries are ignored.
 
     Observation: ``agent_pos`` (29,), as ``interface.learned.LearnedActions`` describes it; ``pixels``, a picture
-    (size, size, 3) for each camera, the middle square of what the exam's camera sees; and on request ``points``
-    (1024, 6), places in base [m] and colours from 0 to 1, from the overhead camera's depth inside the workspace.
+    (size, size, 3) for each camera, which ``interface.learned.square`` makes of what the exam's camera sees; and on
+    request ``points`` (1024, 6) of the overhead camera, as ``interface.learned.cloud`` draws them.
 
     Action: a row (7,) of numbers from -1 to 1, as ``LearnedActions.action`` describes it.
 
@@ -111,22 +109,22 @@ class Bathing(gym.Env[Numbers, F32]):
             raise ConfigError(f"Bathing.render_mode: expected rgb_array or None, got {render_mode!r:.40}")
         self.persons, self.level, self.cameras = numbers_of(persons), level, tuple(dict.fromkeys(cameras))
         self.render_mode, self._reward_kind, self._may_end = render_mode, reward, may_end
-        self._points, self._nested, self._record = points, nested, record
+        self._points, self._nested, self._record, self._size = points, nested, record, size
         taking = (*self.cameras, "overhead") if points and "overhead" not in self.cameras else self.cameras
         self.card = PolicyCard(
             name="carecontact.learn",
-            modalities=("rgb", "points") if points else ("rgb",) if self.cameras else (),
+            modalities=("rgb", "depth") if points else ("rgb",) if self.cameras else (),
             cameras=taking,
             control_hz=HZ,
         )
-        self.protocol = _with_size(load_protocol(PROTOCOL, level=level), taking, size)
+        self.protocol = load_protocol(PROTOCOL, level=level)
         self._max_episode_steps = round(self.protocol.phases.time_limit_s * HZ)
         self._rows = LearnedActions(self.protocol.impedance.action_bounds, absolute=absolute)
         self._worlds = Worlds(worlds)
         self._episode: Episode | None = None
         self._progress: Progress | None = None
         self.action_space = gym.spaces.Box(-1.0, 1.0, (7,), np.float32)
-        self.observation_space = gym.spaces.Dict(self._spaces(size))
+        self.observation_space = gym.spaces.Dict(self._spaces())
 
     @property
     def episode(self) -> Episode:
@@ -208,10 +206,10 @@ class Bathing(gym.Env[Numbers, F32]):
             "person": self.episode.spec.seed,
         }
 
-    def _spaces(self, size: int) -> dict[str, gym.Space[Any]]:
+    def _spaces(self) -> dict[str, gym.Space[Any]]:
         most = MOST.astype(np.float32)
         spaces: dict[str, gym.Space[Any]] = {"agent_pos": gym.spaces.Box(-most, most, dtype=np.float32)}
-        pictures = {name: gym.spaces.Box(0, 255, (size, size, 3), np.uint8) for name in self.cameras}
+        pictures = {name: gym.spaces.Box(0, 255, (self._size, self._size, 3), np.uint8) for name in self.cameras}
         if self._points:
             spaces["points"] = gym.spaces.Box(-2.0, 2.0, (POINTS, 6), np.float32)
         return spaces | self._placed(pictures, gym.spaces.Dict)
@@ -224,14 +222,10 @@ class Bathing(gym.Env[Numbers, F32]):
     def _numbers(self, seen: Observation) -> Numbers:
         out: Numbers = {"agent_pos": self._rows.agent_pos(seen)}
         if self._points:
-            low, high = (np.array(side) for side in self._workspace)
-            out["points"] = _cloud(seen.cameras["overhead"], low, high)
-        return out | self._placed({name: seen.cameras[name].rgb for name in self.cameras})
-
-    @property
-    def _workspace(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        impedance = self.protocol.impedance
-        return impedance.workspace_low_m, impedance.workspace_high_m
+            # Pixels are drawn alike in every observation: what differs is what is seen there.
+            drawn, bounds = np.random.default_rng(0), self.protocol.impedance.action_bounds
+            out["points"] = cloud(seen.cameras["overhead"], POINTS, bounds, drawn)
+        return out | self._placed({name: square(seen.cameras[name].rgb, self._size) for name in self.cameras})
 
 
 class BathingState(Bathing):
@@ -254,7 +248,7 @@ class BathingState(Bathing):
         self._force_n = np.zeros(len(SEGMENTS))
         super().__init__(tasks, level, persons, **{"cameras": (), **others})
 
-    def _spaces(self, size: int) -> dict[str, gym.Space[Any]]:
+    def _spaces(self) -> dict[str, gym.Space[Any]]:
         high = np.concatenate(
             [
                 np.full(len(SEGMENTS), MOST_N),
@@ -266,7 +260,7 @@ class BathingState(Bathing):
         low = -high
         low[: len(SEGMENTS)] = low[-3 - len(TASKS) :] = 0.0
         self._low, self._high = low, high
-        return {**super()._spaces(size), "environment_state": gym.spaces.Box(low, high, dtype=np.float32)}
+        return {**super()._spaces(), "environment_state": gym.spaces.Box(low, high, dtype=np.float32)}
 
     def _numbers(self, seen: Observation) -> Numbers:
         return {**super()._numbers(seen), "environment_state": self._state()}
@@ -289,23 +283,5 @@ class BathingState(Bathing):
         return np.clip(np.concatenate(parts), self._low, self._high).astype(np.float32)
 
 
-def _with_size(protocol: Protocol, cameras: Sequence[str], size: int) -> Protocol:
-    sides = {f"cameras.{name}.{side}": size for name in cameras for side in ("width", "height")}
-    return overridden(protocol, sides) if sides else protocol
-
-
 def _potential(progress: Progress) -> float:
     return progress.share - min(max(progress.distance_m, 0.0), FAR_M)
-
-
-def _cloud(view: CameraView, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]) -> F32:
-    """Return POINTS of a view's points inside the workspace, evenly over the rows of the picture: (1024, 6). If there
-    are fewer, points are repeated; if there are none, all numbers are 0."""
-    assert view.points is not None
-    assert view.point_colors is not None
-    inside = np.flatnonzero(((view.points >= low) & (view.points <= high)).all(1))
-    if not len(inside):
-        return np.zeros((POINTS, 6), np.float32)
-    chosen = inside[np.linspace(0, len(inside) - 1, POINTS).round().astype(int)]
-    colours = view.point_colors[chosen].astype(np.float32) / np.float32(255)
-    return np.concatenate([view.points[chosen].astype(np.float32), colours], 1)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.interface.action import Action
+from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.observation import Observation
 from carecontact.policies.motion import CONTROL_HZ, NEAR_SPEED_M_S, UP, Leg, sample
 from carecontact.policies.state_machine import HOVER_M
@@ -25,6 +26,9 @@ STIFFNESS, ROTATIONAL = 400.0, 20.0
 SOFT = (STIFFNESS, STIFFNESS, 0.0, ROTATIONAL, ROTATIONAL, ROTATIONAL)
 DAMPING_NS_M = 2.0 * np.sqrt(STIFFNESS * 10.0)
 """Critical damping at the effective mass of 10 kg that the protocols give."""
+HELD_N = 12.0
+"""Force [N] beside the feedforward from which the tool counts as held or pushed. A stroke of 4 N on wet skin takes up
+to 10 N, with the arm's friction and its acceleration."""
 CONTACT = 3
 """Index of the leg that brings the tool down; the last two legs take it up and away (``motion.travel``)."""
 
@@ -38,10 +42,10 @@ def end(leg: Leg) -> F64:
     return np.concatenate([leg.points[-1], leg.quat_wxyz])
 
 
-def away(legs: Sequence[Leg], pose: F64) -> list[Action]:
+def away(legs: Sequence[Leg], pose: F64, speed_m_s: float = NEAR_SPEED_M_S) -> list[Action]:
     """Return the way up from where the tool is, with the usual stiffness and no feedforward."""
     high = np.array([*pose[:2], max(float(legs[-1].points[-1][2]), float(pose[2]) + HOVER_M)])
-    first, *rest = along([Leg.to(high, legs[-1].quat_wxyz, NEAR_SPEED_M_S)], pose)
+    first, *rest = along([Leg.to(high, legs[-1].quat_wxyz, speed_m_s)], pose)
     usual = replace(first, stiffness=(STIFFNESS, ROTATIONAL), wrench_in_tcp=np.zeros(6))
     return [usual, *rest]
 
@@ -54,6 +58,18 @@ def ended(actions: Sequence[Action]) -> list[Action]:
 def softened(action: Action, force_n: float) -> Action:
     """Return an action from which on nothing but a feedforward of ``force_n`` moves the tool along its axis."""
     return replace(action, stiffness=SOFT, wrench_in_tcp=np.array([0.0, 0.0, force_n, 0.0, 0.0, 0.0]))
+
+
+def held_n(now: F64, before: F64, target: F64) -> float:
+    """Return the force [N] that holds or pushes a tool, beside the feedforward with which it presses.
+
+    Args:
+        now, before: (7,) where it is, and was one control period before, in base.
+        target: (7,) where the arm, soft along the tool, leads it.
+    """
+    out, off = -matrix_from_quat(target[3:])[:, 2], (now - target)[:3]
+    rate = (now - before)[:3] * CONTROL_HZ
+    return float(np.linalg.norm(STIFFNESS * (off - (off @ out) * out) + DAMPING_NS_M * rate))
 
 
 class Felt:

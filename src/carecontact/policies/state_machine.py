@@ -4,7 +4,7 @@ them open loop."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -21,6 +21,7 @@ from carecontact.interface.policy import PolicyCard
 from carecontact.interface.regions import REGIONS
 from carecontact.interface.robot import ActionBounds, Session
 from carecontact.policies.foam import FoamSeen, find_foam, names_foam, strokes
+from carecontact.policies.hold import holds
 from carecontact.policies.language.backend import Intent, LanguageBackend, LanguageModel, Option, Rules
 from carecontact.policies.language.live import transcript_of
 from carecontact.policies.motion import (
@@ -237,6 +238,7 @@ def candidates(
     travel_height_m: float,
     bounds: ActionBounds | None,
     foam: FoamSeen | None = None,
+    person: F64 | None = None,
 ) -> list[Candidate]:
     """Return all options that the arm reaches in comfort and whose way stays inside the workspace, in a fixed order.
 
@@ -247,10 +249,11 @@ def candidates(
         travel_height_m: height in base at which the tool moves level over the person [m].
         bounds: the session's limits; None leaves the workspace unlimited.
         foam: what touches and scrubs go to, in place of the region's key points.
+        person: (N, 3) seen points of the person in base [m], of whom the hand keeps clear at the foam.
     """
     found = [
         Candidate(option=option, legs=legs)
-        for option, contact in (_options(geometry) if foam is None else _foam_options(geometry, foam))
+        for option, contact in (_options(geometry) if foam is None else _foam_options(geometry, foam, person))
         if reachable(contact) and _inside(legs := travel(start_pose, contact, travel_height_m=travel_height_m), bounds)
     ]
     if not found:
@@ -279,21 +282,26 @@ def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
         yield Option(primitive="push", approach=side, **motion), legs
 
 
-def _foam_options(geometry: RegionGeometry, foam: FoamSeen) -> Iterator[tuple[Option, list[Leg]]]:
-    """Strokes are many: they are made at the slower speed alone. Where the arm has no room to lean, the hand is
-    upright."""
+def _foam_options(geometry: RegionGeometry, foam: FoamSeen, person: F64 | None) -> Iterator[tuple[Option, list[Leg]]]:
+    """Strokes are many: they are made at the slower speed alone. The first hold that the arm reaches is taken."""
     along = float((foam.centre_m - geometry.centre_m) @ geometry.axis) / (2 * geometry.half_length_m)
     key = round(float(np.clip(0.5 + along, 0.0, 1.0)), 2)
-    radial = foam.centre_m * [1.0, 1.0, 0.0]
-    holds = [(tool_quat(-out, radial), out) for out in (foam.out, UP)]
+    ways = holds(foam, np.zeros((0, 3)) if person is None else person)
     for depth, speed in product(TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
         option = Option(primitive="touch", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
-        leant, upright = (touch_at(foam.centre_on_skin, *hold, depth, speed) for hold in holds)
-        yield option, leant if reachable(leant) else upright
+        yield option, _reached(touch_at(foam.centre_on_skin, *way, depth, speed) for way in ways)
     for depth, speed in product(SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S[:1]):
         option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
-        leant, upright = (wipe(foam, *hold, depth, speed) for hold in holds)
-        yield option, leant if reachable(leant) else upright
+        yield option, _reached(wipe(foam, *way, depth, speed) for way in ways)
+
+
+def _reached(contacts: Iterable[list[Leg]]) -> list[Leg]:
+    """Return the first contact that the arm reaches, or the last one."""
+    contact = list[Leg]()
+    for contact in contacts:
+        if reachable(contact):
+            break
+    return contact
 
 
 def reachable(contact: list[Leg]) -> bool:
@@ -385,9 +393,11 @@ class StateMachine:
             raise ContractError("act() was called before reset()")
         side = "right" if intent.side == "none" else intent.side
         geometry = region_from_observation(observation, intent.region, side=side, camera=CAMERA)
-        height = travel_height(person_points(view), start, geometry.centre_m)
-        foam = find_foam(view, geometry) if self._to_foam else None
-        options = candidates(geometry, start_pose=start, travel_height_m=height, bounds=self._bounds, foam=foam)
+        person, foam = person_points(view), find_foam(view, geometry) if self._to_foam else None
+        height = travel_height(person, start, geometry.centre_m)
+        options = candidates(
+            geometry, start_pose=start, travel_height_m=height, bounds=self._bounds, foam=foam, person=person
+        )
         self._notes |= {"method": self.card.name, "camera": CAMERA, "intent": intent.model_dump()}
         if foam is not None:
             self._notes["foam_m"] = foam.centre_m.round(4).tolist()

@@ -19,7 +19,8 @@ from carecontact.protocol.person import Tissue
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Level
 
-DEFAULT_PROTOCOL = "bathing-v3-draft"
+DEFAULT_PROTOCOL, DEFAULT_LEVEL, DEFAULT_SEEDS = "bathing-wide-v2", "L2", "0-2"
+"""What every command and ``evaluate`` take where nothing else is named: the exam, with three seeds for development."""
 Table = dict[str, Any]
 OWN = ("id", "description", "frozen")
 """Fields that are not inherited, so that every file has to state them. ``frozen`` is false where a file with a base
@@ -152,9 +153,9 @@ def tables(rest: Table, levels: Mapping[str, Table]) -> dict[str, Table]:
     return out
 
 
-def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = None) -> Protocol:
-    """Return a shipped protocol by id, or a TOML file by path, at one of the file's levels, where it has any;
-    docs/evidence/extending.md describes how a file inherits.
+def load_protocol(name_or_path: str, *, level: str | None = None) -> Protocol:
+    """Return a shipped protocol by id, or a TOML file by path, at one of the file's levels, where it has any; without a
+    name of one at L2. docs/evidence/extending.md describes how a file inherits.
 
     Raises UnknownNameError, or ConfigError naming file, field and what was expected.
     """
@@ -164,8 +165,9 @@ def load_protocol(name_or_path: str = DEFAULT_PROTOCOL, *, level: str | None = N
         if level is not None:
             raise ConfigError(f"{name_or_path} has no levels; leave level {level!r} out")
         return found[""]
-    if level is None:
+    if level is None and DEFAULT_LEVEL not in found:
         raise ConfigError(f"{name_or_path} has the levels {valid}; choose one with level")
+    level = level or DEFAULT_LEVEL
     if level not in found:
         raise ConfigError(f"{name_or_path}: no level named {level!r}{did_you_mean(level, found)}; valid: {valid}")
     return found[level]

@@ -66,7 +66,7 @@ def load_tissue_set(*names_or_paths: str) -> TissueSet:
         if base not in shipped_tissue_sets():
             raise ConfigError(f"{place}: base {base!r}; valid: {valid}")
     if bases:
-        rows = {**_read(bases[0]).tissue, **rows}
+        rows = {**load_tissue_set(bases[0]).tissue, **rows}
     first, *_ = sets.values()
     return first.model_copy(update={"id": "+".join(made.id for made in sets.values()), "tissue": rows})
 

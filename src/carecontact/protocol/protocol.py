@@ -49,7 +49,7 @@ CAMERA_NAMES = ("overhead", "bedside", "exterior", "wrist")
 
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
-    """Return the id and what was replaced: ``bathing-v3-draft with body woman-old-light``. The same coefficient of
+    """Return the id and what was replaced: ``bathing-v3 with body woman-old-light``. The same coefficient of
     friction on several regions is one replaced field."""
     replaced = dict(overrides)
     friction = {path: value for path, value in overrides.items() if fnmatchcase(path, FRICTION)}

@@ -159,7 +159,7 @@ def replace_file(path: Path, content: bytes) -> None:
 MAX_FILE_BYTES = 4 << 30
 MAX_ARRAY_BYTES = 1 << 30
 """Largest size of all arrays together, as declared and before any is unpacked: a few hundred bytes can claim terabytes.
-A whole trial of bathing-v3-draft has 13 MB."""
+A whole trial of bathing-v3 has 13 MB."""
 MAX_EXPANSION = 1100
 """Declared over stored bytes of one array; deflate reaches at most 1032."""
 FREE_BYTES = 1 << 16

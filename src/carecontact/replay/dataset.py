@@ -15,26 +15,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from PIL import Image
 
 from carecontact.errors import DependencyError, RecordingError
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.learned import cloud, square
+from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
-from carecontact.interface.robot import ActionBounds
 from carecontact.recording import read_recording
 from carecontact.recording.lerobot import Clip, Episode, Stream, histogram_of, rows_of
 from carecontact.recording.schema import Recording
 from carecontact.replay.film import THREADS, write_mp4
 from carecontact.replay.observations import Resensed
 from carecontact.replay.replay import ReplayQuality
-from carecontact.sensing.builder import back_project
 
 KEYFRAME_EVERY = {"g": "2"}
 """Option of x264: every second picture of a film is whole, so that any row is found in two steps. So does lerobot
 (huggingface/lerobot 7427f318, src/lerobot/configs/video.py)."""
-TRIED = 12
-"""Pixels that are drawn for each point: the workspace is more than a tenth of what the overhead camera sees."""
 CLOUD = ("x", "y", "z", "red", "green", "blue")
 """Numbers of a point: place in base [m], and colour in [0, 1]."""
 
@@ -97,30 +92,6 @@ class Rendering:
             write_mp4(path, frames, fps=fps, comment="", more=KEYFRAME_EVERY)
             clips[camera] = Clip(path=path, shape=frames[0].shape, histogram=histogram_of(frames, each))
         return Episode(**alike, clips=clips), resensed.quality
-
-
-def square(rgb: npt.NDArray[np.uint8] | None, size: int) -> npt.NDArray[np.uint8]:
-    """(H, W, 3) -> (size, size, 3): the middle of a picture, each pixel the mean of the area that it covers."""
-    assert rgb is not None
-    height, width = rgb.shape[:2]
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    middle = Image.fromarray(rgb[top : top + side, left : left + side])
-    return np.asarray(middle.resize((size, size), Image.Resampling.BOX))
-
-
-def cloud(view: CameraView, count: int, bounds: ActionBounds, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """(count, 6) points of a view inside the workspace, of pixels that are drawn without order; some of them twice
-    where there are fewer."""
-    assert view.rgb is not None
-    assert view.depth is not None
-    v, u = (rng.integers(side, size=TRIED * count) for side in view.depth.shape)
-    points = back_project(np.stack([u, v], 1), view.depth[v, u], view.intrinsics, view.pose_camera_in_base)
-    inside = ((points >= bounds.workspace_low_m) & (points <= bounds.workspace_high_m)).all(1)
-    if not inside.any():
-        return np.zeros((count, 6), np.float32)
-    found = np.hstack([points, view.rgb[v, u] / 255])[inside]
-    return np.resize(found, (max(count, len(found)), 6))[:count].astype(np.float32)
 
 
 def rendered(

@@ -25,7 +25,10 @@ NEAR_M = 0.05
 TAPS_PX = 1.3 * np.array([-1.5, -0.5, 0.5, 1.5])
 """Where the lamp's picture is read round each point, along both of its axes: an edge becomes 5 of its pixels wide."""
 BIAS_M = 0.005
-"""What is nearer than this in front of a point casts no shadow on it: the map has coarser steps on steep skin."""
+"""What is nearer than this in front of a point casts no shadow on it."""
+STEEPEST = 4.0
+"""Where a surface descends along the light, its own neighbours in the lamp's picture lie in front of it. The bias grows
+with this slope, up to so many metres for each metre across the light: steeper surfaces receive little of it."""
 EVERY = 2
 """Shadows are found for one pixel out of so many, along both axes."""
 
@@ -85,11 +88,12 @@ class Lamp:
             camera.frustum_bottom, camera.frustum_top = -self.radius_m, self.radius_m
             camera.frustum_near, camera.frustum_far = NEAR_M, 2 * LAMP_DISTANCE_M
 
-    def lit(self, places: F32, height_m: F32) -> F32:
+    def lit(self, places: F32, facing: F32, height_m: F32) -> F32:
         """Return how much of the light reaches places, from 0 to 1.
 
         Args:
             places: (..., 3) in the axes of the lamp, from ``look_at`` [m].
+            facing: (...) cosine between the surface's normal there and the direction to the lamp.
             height_m: (N, N) what the lamp sees, along its third axis from ``look_at`` [m].
         """
         count = len(height_m)
@@ -97,7 +101,10 @@ class Lamp:
         reach = float(np.abs(TAPS_PX).max())
         inside = (np.minimum(column, row) > reach) & (np.maximum(column, row) < count - 1 - reach)
         out = np.ones(inside.shape, np.float32)
-        points = np.stack([row[inside], column[inside], places[inside][:, 2] - BIAS_M])
+        cosine = np.clip(np.abs(facing[inside]), 1e-3, 1)
+        slope = np.minimum(np.sqrt(1 - cosine**2) / cosine, STEEPEST)
+        bias_m = BIAS_M + (reach + 1) * (2 * self.radius_m / count) * slope
+        points = np.stack([row[inside], column[inside], places[inside][:, 2] - bias_m], dtype=np.float32)
 
         def reached(at: F32, taps: Sequence[tuple[float, float]]) -> F32:
             found = np.zeros(at.shape[1], np.float32)
@@ -143,10 +150,10 @@ def shade(
     seen = eye.seen(metres, EVERY)
     turn = (eye.axes @ lamp.axes.T).astype(np.float32)
     places = seen @ turn + ((eye.position - lamp.look_at) @ lamp.axes.T).astype(np.float32)
-    dark = 1 - lamp.lit(places, height_m)
     normal = np.cross(_slope(seen, 0), _slope(seen, 1))
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    dark *= key_share(normal @ eye.axes.astype(np.float32))
+    normal = normal @ eye.axes.astype(np.float32)
+    dark = (1 - lamp.lit(places, -(normal @ lamp.axes[2].astype(np.float32)), height_m)) * key_share(normal)
     light = 1 - dark
     full = np.array(Image.fromarray(light).resize((picture.shape[1], picture.shape[0]), Image.Resampling.BILINEAR))
     row, column = np.nonzero(edge)
@@ -188,15 +195,3 @@ def widened(edge: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         on[1:] |= values[:-1]
         on[:-1] |= values[1:]
     return wide
-
-
-def smooth(picture: npt.NDArray[np.uint8], edge: npt.NDArray[np.bool_]) -> None:
-    """Blur pixels on edges by about one pixel, in place: multisampling would double the time of a picture."""
-    row, column = np.nonzero(edge)
-    inside = (row > 0) & (row < len(edge) - 1) & (column > 0) & (column < edge.shape[1] - 1)
-    row, column = row[inside], column[inside]
-    total = np.zeros((len(row), 3), np.uint16)
-    for down, weight in ((-1, 1), (0, 2), (1, 1)):
-        for right, more in ((-1, 1), (0, 2), (1, 1)):
-            total += np.uint16(weight * more) * picture[row + down, column + right]
-    picture[row, column] = total // 16

@@ -18,7 +18,7 @@ from carecontact.human.mesh import refined
 from carecontact.human.skin import add_skin
 from carecontact.interface.regions import REGIONS
 from carecontact.pictures import FINENESS, coverage, fine
-from carecontact.replay.shadow import MAP_PX, Eye, Lamp, edges, metres_of_lamp, shade, smooth, widened
+from carecontact.replay.shadow import MAP_PX, Eye, Lamp, edges, metres_of_lamp, shade, widened
 from carecontact.sim.opengl import import_opengl
 from carecontact.sim.state import skin_in_world
 from carecontact.tissue.plugin import Readings
@@ -218,6 +218,8 @@ def _following(skin: F64, shell: F64) -> csr_array:
 
 Picture = npt.NDArray[np.uint8]
 
+SAMPLES = 4
+"""Samples of each pixel (multisampling). Without them, facets narrower than a pixel become dotted lines."""
 KEY_DIRECTION = (-0.40, -0.62, -0.68)
 """Direction in which the lamp shines that casts shadows."""
 FILL_DIRECTION = (0.55, 0.65, -0.5)
@@ -261,7 +263,7 @@ class Stage:
         self._model = model
         self._skin = skin
         quality, far = model.vis.quality, model.vis.global_
-        quality.offsamples = 0
+        quality.offsamples = SAMPLES
         far.offwidth, far.offheight = max(width, MAP_PX), max(height, MAP_PX)
         model.vis.map.zfar = 8.0
         try:
@@ -304,7 +306,7 @@ class Stage:
         key, fill = self._light(view)
         out, depth = self._render(size)
         eye = eye_of(made, size)
-        metres, edge = self._metres(depth), edges(depth)
+        metres = self._metres(depth)
         if view.radius_m > 0:
             lamp = Lamp.of(view.look_at, key, view.radius_m)
             lamp.aim(made.camera)
@@ -318,8 +320,7 @@ class Stage:
                 )
                 return (from_key / (AMBIENT + from_key + from_fill + from_head)).astype(np.float32)
 
-            shade(out, metres, widened(widened(edge)), eye, lamp, height_m, key_share)
-        smooth(out, edge)
+            shade(out, metres, widened(widened(edges(depth))), eye, lamp, height_m, key_share)
         if grid is not None:
             grid.draw(out, metres, vertices, eye)
         return out

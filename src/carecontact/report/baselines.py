@@ -8,7 +8,6 @@ from pathlib import Path
 
 from carecontact.errors import CarecontactError, ConfigError
 from carecontact.policies.registry import POLICIES, Role, role_of
-from carecontact.protocol.load import load_protocol
 from carecontact.report.comparison import check_comparable, check_complete, machines_text, trials_by_key
 from carecontact.report.paired import RATES, Outcome, Over, difference_of, over_of, rate_of
 from carecontact.runs.pooling import RunScores, judged, rejected_text, share, task_of
@@ -364,7 +363,8 @@ def shipped_scores_for(
                 kept.append(scores)
         except CarecontactError as error:
             why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."
-    return kept, "" if kept else why or _none_kept(run.scores[0].protocol_id)
+    none = f"No scores of the shipped policies and of blind replay are kept for {run.scores[0].protocol_id}."
+    return kept, "" if kept else why or none
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
@@ -379,13 +379,3 @@ def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
         if found:
             return found
     return []
-
-
-def _none_kept(protocol_id: str) -> str:
-    name, _, level = protocol_id.partition(" ")
-    try:
-        draft = not load_protocol(name, level=level or None).frozen
-    except CarecontactError:
-        draft = False
-    because = ", because it is a draft" if draft else ""
-    return f"No scores of the shipped policies and of blind replay are kept for {protocol_id}{because}."

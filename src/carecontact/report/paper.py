@@ -21,9 +21,10 @@ from carecontact.report.paper_method import ABSENT, Method, Paper, Table, method
 from carecontact.report.words import SEEDS_FOR_INTERVAL, enough_seeds, listed
 from carecontact.runs.pooling import RunScores, rejected_text
 from carecontact.scoring.metrics.metric import METRICS
+from carecontact.scoring.result import TrialScore
 from carecontact.stats import fisher_exact, mann_whitney, median, wilson_interval
 
-REPEATS = "bathing-v3-draft"
+REPEATS = "bathing-v3"
 """The protocol with the paper's rules, as far as the paper states them."""
 PAPER_TRIALS, PAPER_TASKS = 140, 7
 """Trials of each of the paper's methods, and tasks."""
@@ -364,7 +365,7 @@ def scores(methods: Sequence[Method], paper: Paper, *, note: str | None = None) 
             cells += [ours, ABSENT if printed is None else _shown_score(outcome.id, printed)]
             numbers.append((method.title, outcome.id, outcome.unit, found.estimate, found.n_valid, printed))
         rows.append((method.title, *cells))
-    units = ["" if outcome.unit == "1" else f" [{outcome.unit}]" for outcome in outcomes]
+    units = ["" if o.unit == "1" else f" [{'mrad' if o.unit == 'rad' else o.unit}]" for o in outcomes]
     head = [text for o, unit in zip(outcomes, units, strict=True) for text in (f"{o.id}{unit}", f"Paper: {o.id}{unit}")]
     return Table(
         name="scores",
@@ -380,8 +381,10 @@ def scores(methods: Sequence[Method], paper: Paper, *, note: str | None = None) 
 
 
 def _shown_score(id_: str, value: float) -> str:
-    """Return a value with as many digits as the paper prints."""
-    return f"{value:.2e}" if id_ == "C2" else f"{value:.3f}" if id_ == "C4" else f"{value:.2f}"
+    """Return a value with as many digits as the paper prints; margins [rad] in mrad, which need no power of ten."""
+    if id_ == "C2":
+        return f"{1000 * value:.3g}" if abs(value) < 0.1 else f"{1000 * value:.0f}"
+    return f"{value:.3f}" if id_ == "C4" else f"{value:.2f}"
 
 
 TABLES = ("capability", "tasks", "metrics", "protocol", "rates", "scores", "tests", "anatomy")
@@ -437,15 +440,14 @@ def write_figures(runs: Sequence[RunScores], read: Mapping[int, Read], folder: P
     """
     folder.mkdir(parents=True, exist_ok=True)
     methods = methods_of(runs, read_paper())
-    shown = {number: _one_of_each_task(methods[number], read[number]) for number in read}
+    chosen = one_of_each_task([methods[number] for number in read])
+    shown = dict(zip(read, chosen, strict=True))
+    recordings = [[read[number](trial_id) for trial_id in shown.get(number, [])] for number in range(len(methods))]
     drawn: dict[str, Callable[..., None]] = {"overview": paper_figures.draw_overview}
-    if shown:
-        first = next(iter(shown.values()))
-        every = [recording for recordings in shown.values() for recording in recordings]
-        drawn["traces"] = partial(paper_figures.draw_traces, recordings=first)
-        drawn["force-indentation"] = partial(paper_figures.draw_indentation, recordings=every)
-    paths = [shown.get(number, []) for number in range(len(methods))]
-    drawn["outcomes"] = partial(paper_figures.draw_outcomes, methods=methods, paths=paths)
+    if read:
+        drawn["traces"] = partial(paper_figures.draw_traces, methods=methods, recordings=recordings)
+        drawn["force-indentation"] = partial(paper_figures.draw_indentation, methods=methods, recordings=recordings)
+    drawn["outcomes"] = partial(paper_figures.draw_outcomes, methods=methods, paths=recordings)
     return [path for name, draw in drawn.items() for path in write_figure(draw, folder, name)]
 
 
@@ -465,11 +467,22 @@ def remove_earlier(folder: Path, written: Sequence[Path]) -> list[Path]:
     return earlier
 
 
-def _one_of_each_task(method: Method, read: Read) -> list[Recording]:
-    """Return one trial of each task: the first that succeeded, or else the first that touched, or else the first."""
-    found: list[Recording] = []
-    for task in sorted({score.task_id for score in method.scores}):
-        of_task = sorted((s for s in method.scores if s.task_id == task), key=lambda s: s.seed)
-        best = min(of_task, key=lambda s: (not s.c3_success, not s.valid_contact, s.seed))
-        found.append(read(best.trial_id))
+def one_of_each_task(methods: Sequence[Method]) -> list[list[str]]:
+    """Return for each method one trial of each of its tasks: the one that most methods have, so that all are drawn on
+    one person; of these the one in which most succeed, then in which most touch, then of the first seed."""
+    every: dict[str, list[TrialScore]] = {}
+    for method in methods:
+        for score in method.scores:
+            every.setdefault(score.trial_id, []).append(score)
+
+    def worth(score: TrialScore) -> tuple[int, int, int, int]:
+        same = every[score.trial_id]
+        return len(same), sum(s.c3_success for s in same), sum(s.valid_contact for s in same), -score.seed
+
+    found: list[list[str]] = []
+    for method in methods:
+        by_task: dict[str, list[TrialScore]] = {}
+        for score in method.scores:
+            by_task.setdefault(score.task_id, []).append(score)
+        found.append([max(scores, key=worth).trial_id for _, scores in sorted(by_task.items())])
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ import numpy as np
 from carecontact.errors import counted
 from carecontact.interface.regions import REGIONS
 from carecontact.plotting import plain_figures
+from carecontact.report.words import short_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,29 +74,69 @@ def letter(axes: Axes, index: int, title: str) -> None:
     axes.set_title(f"({'abcdefghijklmnopqrstuvwxyz'[index]}) {title}")
 
 
+def colour_of(place: int) -> str:
+    """Return the colour of a method, by its place among the methods; every figure uses it."""
+    return COLOURS[place % len(COLOURS)]
+
+
+def names_of(methods: Sequence[Method]) -> list[str]:
+    """Return the paper's titles of its methods, and short names of the others."""
+    short = short_names([method.title for method in methods])
+    papers = [method.published is not None and method.title.startswith(method.published.title) for method in methods]
+    return [m.title if is_papers else short[m.title] for m, is_papers in zip(methods, papers, strict=True)]
+
+
+def _name_methods(part: Any, methods: Sequence[Method], marks: Mapping[str, Any] | None = None, **where: Any) -> None:
+    """Name the colours of the methods, and any further marks, in one legend beside the panels of a figure."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=colour_of(place), lw=1.8) for place in range(len(methods))]
+    names = names_of(methods)
+    for name, style in (marks or {}).items():
+        handles.append(Line2D([], [], **style))
+        names.append(name)
+    part.legend(handles, names, ncols=min(len(names), 5), **where)
+
+
 # Figure 2: one trial of each task: the scene at peak force, and what the logger wrote.
 
-STREAMS = ("Force [N]", "Wrist moved [mm]", "Tissue pressed in [mm]")
+STREAMS = (("Force [N]", 1.0), ("Wrist moved [mm]", 5.0), ("Tissue pressed in [mm]", 1.0))
+"""Title, and the least end of the axis."""
 
 
-def draw_traces(figure: Figure, recordings: Sequence[Recording]) -> None:
-    """``recordings``: one trial of each task, in order."""
-    rows = len(recordings)
-    figure.set_size_inches(7.2, 0.35 + 1.05 * rows)
-    grid: Any = figure.subplots(rows, 4, squeeze=False, width_ratios=(1.25, 1.5, 1.5, 1.5))
-    for axes, recording in zip(grid, recordings, strict=True):
-        task = recording.header.spec.protocol.task(recording.header.spec.task_id)
-        _scene(axes[0], recording, f"{task.id} {task.name}")
-        for number, (panel, (time_s, values)) in enumerate(zip(axes[1:], streams(recording), strict=True)):
-            panel.plot(time_s, values, color=COLOURS[number], lw=0.9)
-            panel.set_xlim(0, max(time_s[-1] if len(time_s) else 0, 0.1))
-            panel.set_ylim(bottom=0, top=max(1.1 * float(np.max(values, initial=0.0)), 1.0))
+def draw_traces(figure: Figure, methods: Sequence[Method], recordings: Sequence[Sequence[Recording]]) -> None:
+    """Draw a row for each task, in which every method has a line of its colour.
+
+    Args:
+        recordings: for each method, one trial of each task; none where a method has no recordings.
+    """
+    by_task: dict[str, list[tuple[int, Recording]]] = {}
+    for place, of_method in enumerate(recordings):
+        for recording in of_method:
+            by_task.setdefault(recording.header.spec.task_id, []).append((place, recording))
+    rows = len(by_task)
+    figure.set_size_inches(7.2, 0.75 + 0.85 * rows)
+    grid: Any = figure.subplots(rows, 4, squeeze=False, width_ratios=(1.1, 1.5, 1.5, 1.5))
+    ends = np.array([0.1, *(least for _, least in STREAMS)])
+    for axes, (task_id, drawn) in zip(grid, sorted(by_task.items()), strict=True):
+        task = drawn[0][1].header.spec.protocol.task(task_id)
+        _scene(axes[0], drawn[0][1], f"{task.id} {task.name}")
+        for place, recording in drawn:
+            for number, (time_s, values) in enumerate(streams(recording), start=1):
+                axes[number].plot(time_s, values, color=colour_of(place), lw=0.9)
+                ends[0] = max(ends[0], np.max(time_s, initial=0.0))
+                ends[number] = max(ends[number], 1.08 * np.max(values, initial=0.0))
+    # One scale for each column, so that rows can be compared and what did not move looks still.
+    for row, axes in enumerate(grid[:, 1:]):
+        for number, panel in enumerate(axes, start=1):
+            panel.set(xlim=(0, ends[0]), ylim=(0, ends[number]))
             panel.locator_params(axis="y", nbins=3)
-            panel.locator_params(axis="x", nbins=5, integer=True)
-    for panel, title in zip(grid[0][1:], STREAMS, strict=True):
+            panel.tick_params(labelbottom=row == rows - 1)
+    for panel, (title, _) in zip(grid[0][1:], STREAMS, strict=True):
         panel.set_title(title)
     for panel in grid[-1][1:]:
         panel.set_xlabel("time [s]")
+    _name_methods(figure, methods, loc="outside lower center")
 
 
 def streams(recording: Recording) -> list[tuple[Any, Any]]:
@@ -127,37 +168,42 @@ def _scene(panel: Any, recording: Recording, title: str) -> None:
     panel.set_title(title, fontsize=7.5)
 
 
-# Figure 3: force against indentation in the trials, and the law of the tissue, for each soft region.
+# Figure 3: force against indentation in the trials, for each soft region.
 
 BIN_MM, FEWEST = 0.5, 5
 """Width of a bin of the median, and control periods that it needs."""
 
 
-def draw_indentation(figure: Figure, recordings: Sequence[Recording]) -> None:
-    """A colour for each policy, one trial over the other, and the median of all of them in black."""
-    by_region: dict[str, list[tuple[str, Any, Any]]] = {}
-    for recording in recordings:
-        spec = recording.header.spec
-        depth, force = pairs(recording)
-        if len(depth):
-            by_region.setdefault(spec.protocol.task(spec.task_id).region, []).append((spec.policy, depth, force))
-    policies = list(dict.fromkeys(policy for curves in by_region.values() for policy, _, _ in curves))
-    colours = {policy: COLOURS[k % (len(COLOURS) - 1)] for k, policy in enumerate(policies)}
+def draw_indentation(figure: Figure, methods: Sequence[Method], recordings: Sequence[Sequence[Recording]]) -> None:
+    """Draw the points of every trial in the colour of its method, and a line through the method's medians.
+
+    Args:
+        recordings: for each method, its trials.
+    """
+    by_region: dict[str, dict[int, list[tuple[Any, Any]]]] = {}
+    for place, of_method in enumerate(recordings):
+        for recording in of_method:
+            spec = recording.header.spec
+            depth, force = pairs(recording)
+            if len(depth):
+                of_region = by_region.setdefault(spec.protocol.task(spec.task_id).region, {})
+                of_region.setdefault(place, []).append((depth, force))
     figure.set_size_inches(7.2, 2.5)
     panels: Any = figure.subplots(1, max(len(by_region), 1), squeeze=False)[0]
-    for index, (panel, (region, curves)) in enumerate(zip(panels, by_region.items(), strict=False)):
-        for policy, depth, force in curves:
-            panel.plot(depth, force, ".", color=colours[policy], ms=2.5, alpha=0.6, mew=0)
-        x, y = binned(np.concatenate([c[1] for c in curves]), np.concatenate([c[2] for c in curves]))
-        panel.plot(x, y, color="black", lw=1.3)
-        letter(panel, index, f"{region.replace('_', ' ').capitalize()}, {counted(len(curves), 'trial')}")
+    for index, (panel, (region, of_region)) in enumerate(zip(panels, by_region.items(), strict=False)):
+        for place, curves in of_region.items():
+            depth, force = (np.concatenate(values) for values in zip(*curves, strict=True))
+            panel.plot(depth, force, ".", color=colour_of(place), ms=2.5, alpha=0.35, mew=0)
+            panel.plot(*binned(depth, force), color=colour_of(place), lw=1.4)
+        trials = counted(sum(map(len, of_region.values())), "trial")
+        letter(panel, index, f"{region.replace('_', ' ').capitalize()}, {trials}")
         panel.set(xlabel="indentation [mm]", xlim=(0, None), ylim=(0, None))
     panels[0].set_ylabel("force on the segment [N]")
-    from matplotlib.lines import Line2D
-
-    kinds = [*(Line2D([], [], ls="", marker=".", color=colours[p]) for p in policies), Line2D([], [], color="black")]
-    names = [*map(_short, policies), f"median of all, in steps of {BIN_MM:g} mm"]
-    figure.legend(kinds, names, loc="outside lower center", ncols=min(len(kinds), 6))
+    marks = {
+        "one control period": {"color": GREY, "ls": "", "marker": ".", "mew": 0},
+        f"median in steps of {BIN_MM:g} mm": {"color": GREY, "lw": 1.4},
+    }
+    _name_methods(figure, methods, marks, loc="outside lower center")
 
 
 def pairs(recording: Recording) -> tuple[Any, Any]:
@@ -222,7 +268,13 @@ class Panel:
     """Return the value of a trial; None: the trial has none and is no point."""
     spread: Callable[[TrialScore], float | None] = lambda score: None
     """Half the length of a thin bar through the point."""
+    printed: tuple[str, float] | None = None
+    """Score of which the paper prints a median, and the factor to the panel's unit."""
 
+
+PAPER_MARK: dict[str, Any] = {"ls": "", "marker": "D", "mfc": "white", "mec": "black", "ms": 4, "mew": 0.9}
+"""A median that the paper prints."""
+MEDIAN = {"color": "black", "lw": 1.3}
 
 PANELS = (
     Panel(title="Touch: force,\nmean and SD [N]", action="touch", value=mean_force, spread=within_run_sd),
@@ -230,9 +282,10 @@ PANELS = (
     Panel(title="Scrub: stroke [mm]", action="scrub", value=lambda s: 1000 * s.stroke_m),
     Panel(title="Push: wrist\nmoved [mm]", action="push", value=lambda s: 1000 * s.wrist_displacement_m),
     Panel(title="Push: joint-limit\nmargin, C2 [mrad]", action="push",
-          value=lambda s: None if s.c2_joint_margin_rad is None else 1000 * s.c2_joint_margin_rad),
+          value=lambda s: None if s.c2_joint_margin_rad is None else 1000 * s.c2_joint_margin_rad,
+          printed=("C2", 1000.0)),
     Panel(title="Push: force,\nmean and SD [N]", action="push", value=mean_force, spread=within_run_sd),
-    Panel(title="Motion activity, C4", value=lambda s: s.c4_motion_activity),
+    Panel(title="Motion activity, C4", value=lambda s: s.c4_motion_activity, printed=("C4", 1.0)),
 )  # fmt: skip
 
 
@@ -243,7 +296,7 @@ def draw_outcomes(figure: Figure, methods: Sequence[Method], paths: Sequence[Seq
     done = {"", *(score.action for score in every)}
     shown = [panel for panel in PANELS if panel.action in done]
     rows, failed = -(-(len(shown) + 1) // 4), any(score.failure_mode for score in every)
-    heights = [1.9 * rows, *([2.4] if by_region else []), *([2.1] if failed else [])]
+    heights = [0.3 + 1.7 * rows, *([2.2] if by_region else []), *([1.1 + 0.4 * len(methods)] if failed else [])]
     figure.set_size_inches(7.2, sum(heights))
     parts: Any = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     upper: Any = parts[0].subplots(rows, 4, squeeze=False).flat
@@ -255,13 +308,15 @@ def draw_outcomes(figure: Figure, methods: Sequence[Method], paths: Sequence[Seq
     _valid(upper[last], methods)
     for empty in upper[last + 1 :]:
         empty.set_axis_off()
+    printed = any(method.published for method in methods) and any(panel.printed for panel in shown)
+    marks = {"median": MEDIAN, **({"median in the paper": PAPER_MARK} if printed else {})}
+    _name_methods(parts[0], methods, marks, loc="outside upper center")
     if by_region:
         for index, (panel, (region, drawn)) in enumerate(
             zip(parts[1].subplots(1, len(by_region), squeeze=False)[0], by_region.items(), strict=True)
         ):
             letter(panel, last + 1 + index, f"{region.replace('_', ' ').capitalize()}: tool path [mm]")
             _paths(panel, methods, drawn)
-        _name_methods(parts[1], methods, sorted({place for drawn in by_region.values() for place, _ in drawn}))
     if failed:
         failures = parts[-1].subplots()
         letter(failures, last + 1 + len(by_region), "Why trials failed")
@@ -277,14 +332,18 @@ def _dots(panel: Any, methods: Sequence[Method], what: Panel) -> None:
         values, spreads = np.array(valid, float).reshape(-1, 2).T
         found += [*(values + spreads), *np.maximum(values - spreads, np.minimum(values, 0))]
         side = place + 0.28 * (((np.arange(len(values)) * 0.618034) % 1) * 2 - 1)
-        size, colour = 2.2 if len(values) > 30 else 3.5, COLOURS[place % len(COLOURS)]
+        size, colour = 2.2 if len(values) > 30 else 3.5, colour_of(place)
         if spreads.any():
             panel.vlines(side, values - spreads, values + spreads, color=colour, lw=0.5, alpha=0.35)
         panel.plot(side, values, "o", ms=size, color=colour, alpha=0.7, mew=0)
         if len(values):
-            panel.plot([place - 0.36, place + 0.36], [np.median(values)] * 2, color="black", lw=1.3)
+            panel.plot([place - 0.36, place + 0.36], [np.median(values)] * 2, **MEDIAN)
         else:
             panel.text(place, 0.5, "none", ha="center", transform=panel.get_xaxis_transform(), color=GREY, fontsize=7)
+        if what.printed and method.published:
+            score, factor = what.printed
+            found.append(factor * method.published.medians[score])
+            panel.plot([place], found[-1:], **PAPER_MARK)
     if min(found, default=0.0) >= 0:
         # Sizes are read from zero; only margins can be negative.
         panel.set_ylim(0, 1.08 * max(found, default=0.0) or 1.0)
@@ -295,7 +354,7 @@ def _valid(panel: Any, methods: Sequence[Method]) -> None:
     """Trials with scoreable contact, which need not be successes."""
     for place, method in enumerate(methods):
         k, n = sum(score.valid_contact for score in method.scores), len(method.scores)
-        panel.bar(place, 100 * k / n, width=0.6, color=COLOURS[place % len(COLOURS)], alpha=0.85)
+        panel.bar(place, 100 * k / n, width=0.6, color=colour_of(place), alpha=0.85)
         panel.text(place, 100 * k / n + 2, f"{k}/{n}", ha="center", va="bottom", fontsize=6.5)
     panel.set_ylim(0, 118)
     panel.set_yticks((0, 50, 100))
@@ -303,15 +362,9 @@ def _valid(panel: Any, methods: Sequence[Method]) -> None:
 
 
 def _method_ticks(panel: Any, methods: Sequence[Method]) -> None:
+    """Give each method a place; its colour, which the legend names, says which one it is."""
     panel.set_xlim(-0.6, len(methods) - 0.4)
-    panel.set_xticks(range(len(methods)), [_short(m.title).replace(" ", "\n").replace("-", "-\n") for m in methods])
-    panel.grid(visible=False, axis="x")
-
-
-def _short(title: str) -> str:
-    """Return the title, of module:Class the class, cut after 13 letters."""
-    title = title if len(title) <= 14 else title.rpartition(":")[2]
-    return title if len(title) <= 14 else f"{title[:13]}…"
+    panel.set_xticks([])
 
 
 def _by_region(paths: Sequence[Sequence[Recording]]) -> dict[str, list[tuple[int, Recording]]]:
@@ -329,14 +382,15 @@ def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Rec
     """The tool point above the region at rest, along it and across it, and the region's outline from above: a line
     style for each task, named below the panel."""
     tasks = sorted({recording.header.spec.task_id for _, recording in shown})
+    names = names_of(methods)
     far: list[str] = []
     for place, recording in shown:
         task = recording.header.spec.task_id
         along, across = _over_region(recording)
         near = np.maximum(np.abs(along), np.abs(across)) <= NEAR_MM
         along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
-        far += [] if near.any() else [f"{_short(methods[place].title)}, {task}"]
-        panel.plot(along, across, color=COLOURS[place % len(COLOURS)], lw=0.8, alpha=0.85, ls=_style(tasks, task))
+        far += [] if near.any() else [f"{names[place]}, {task}"]
+        panel.plot(along, across, color=colour_of(place), lw=0.8, alpha=0.85, ls=_style(tasks, task))
     half_length, half_width = _half_size_mm(shown[0][1])
     x, y = np.array([-1, 1, 1, -1, -1]) * half_length, np.array([-1, -1, 1, 1, -1]) * half_width
     panel.plot(x, y, color="black", lw=0.9, label="region")
@@ -344,10 +398,12 @@ def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Rec
     for task in tasks:
         panel.plot([], [], color=GREY, lw=0.8, ls=_style(tasks, task), label=task)
     if far:
-        panel.text(0.02, 0.98, "not near: " + "; ".join(far), va="top", transform=panel.transAxes, fontsize=5.5)
+        box = {"fc": "white", "ec": "none", "pad": 0.5}
+        text = "not near: " + "; ".join(far)
+        panel.text(0.02, 0.98, text, va="top", transform=panel.transAxes, fontsize=5.5, bbox=box)
     panel.set(xlabel="along the region", ylabel="across it")
     panel.set_aspect("equal", adjustable="datalim")
-    panel.locator_params(axis="x", prune="both")  # a number at the end would stand half outside the figure
+    panel.locator_params(axis="x", nbins=5, prune="both")  # a number at the end would stand half outside the figure
     panel.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=len(tasks) + 1, fontsize=6.5, handlelength=1.6,
         columnspacing=1, borderaxespad=0,
@@ -356,15 +412,6 @@ def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Rec
 
 def _style(tasks: Sequence[str], task: str) -> str:
     return LINES[tasks.index(task) % len(LINES)]
-
-
-def _name_methods(part: Any, methods: Sequence[Method], places: Sequence[int]) -> None:
-    """The colours of the methods, in one row below the panels of a part of the figure."""
-    from matplotlib.lines import Line2D
-
-    lines = [Line2D([], [], color=COLOURS[place % len(COLOURS)], lw=1.6) for place in places]
-    names = [_short(methods[place].title) for place in places]
-    part.legend(lines, names, loc="outside lower center", ncols=min(len(places), 7), fontsize=7)
 
 
 def _half_size_mm(recording: Recording) -> tuple[float, float]:
@@ -397,12 +444,15 @@ def _failures(panel: Any, methods: Sequence[Method]) -> None:
                 label = mode.replace("_", " ") if first else None
                 panel.barh(place, count[mode], left=left, color=colour, height=0.5, label=label)
                 _number(panel, left + count[mode] / 2, place, count[mode], colour, wide=count[mode] >= 0.03 * most)
-    names = [f"{_short(m.title)}\n({sum(c.values())} of {len(m.scores)})" for m, c in zip(methods, counts, strict=True)]
-    panel.set_yticks(range(len(methods)), names)
-    panel.set(xlabel="trials that are not region-correct", ylim=(len(methods) - 0.5, -1.1 - 0.45 * len(methods)))
+    labels = [
+        f"{name}\n({sum(count.values())} of {len(method.scores)})"
+        for name, count, method in zip(names_of(methods), counts, methods, strict=True)
+    ]
+    panel.set_yticks(range(len(methods)), labels)
+    panel.set(xlabel="trials that are not region-correct", ylim=(len(methods) - 0.5, -0.65))
     panel.locator_params(axis="x", integer=True)
     panel.grid(visible=False, axis="y")
-    panel.legend(loc="upper left", ncols=4, bbox_to_anchor=(0, 1.02), handlelength=1, columnspacing=1)
+    panel.legend(loc="upper left", bbox_to_anchor=(0, -0.3), ncols=5, handlelength=1, columnspacing=1, borderaxespad=0)
 
 
 def _number(panel: Any, x: float, place: int, count: int, colour: str, *, wide: bool) -> None:

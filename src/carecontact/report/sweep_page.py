@@ -84,7 +84,7 @@ def mark(found: Ladder, policy: str, x: float, y: float) -> str:
 
 
 def short(value: str) -> str:
-    """Return a level as the figure names it: ``L2`` of ``bathing-wide-v2-draft L2``, the stem of a file."""
+    """Return a level as the figure names it: ``L2`` of ``bathing-wide-v2 L2``, the stem of a file."""
     return level_name(value).rsplit(" ", 1)[-1]
 
 

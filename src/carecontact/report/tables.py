@@ -240,24 +240,24 @@ class Load:
     rows: tuple[LoadRow, ...]
 
 
-def load(scores: Sequence[TrialScore], *, headlines: bool = False) -> Load:
-    """Return medians over the trials that are ``judged``.
+def load(scores: Sequence[TrialScore], *, every: bool = False) -> Load:
+    """Return medians over the trials that are ``judged``, of each metric of which any trial has a value.
 
     Args:
-        headlines: whether the metrics that have a column of their own elsewhere have a row here too.
+        every: whether the metrics that have a column of their own elsewhere, and the details, have a row here too.
     """
     counted = sorted_scores(judged(scores))
     tasks = tuple(dict.fromkeys(s.task_id for s in counted))
     groups = [*([s for s in counted if s.task_id == task] for task in tasks), counted]
+    shown = [metric for metric in _metrics(counted) if metric.median]
+    if not every:
+        shown = [metric for metric in shown if not (metric.headline or metric.detail)]
+    rows = [LoadRow(metric=metric, medians=tuple(_median(metric, group) for group in groups)) for metric in shown]
     return Load(
         tasks=tasks,
         n=tuple(map(len, groups)),
         contacts=tuple(sum(s.valid_contact for s in group) for group in groups),
-        rows=tuple(
-            LoadRow(metric=metric, medians=tuple(_median(metric, group) for group in groups))
-            for metric in _metrics(counted)
-            if metric.median and (headlines or not metric.headline)
-        ),
+        rows=tuple(row for row in rows if every or any(median.n_valid for median in row.medians)),
     )
 
 

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from carecontact.errors import ConfigError, did_you_mean
 from carecontact.protocol.field_errors import wrong_fields
-from carecontact.protocol.load import DEFAULT_PROTOCOL, load_levels, load_protocol
+from carecontact.protocol.load import DEFAULT_LEVEL, DEFAULT_PROTOCOL, DEFAULT_SEEDS, load_levels, load_protocol
 from carecontact.protocol.overrides import SKIN_STATES, overridden
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.runs.identity import check_frozen
@@ -146,7 +146,7 @@ class Plan(_Table):
     """Every policy runs the same tasks and seeds for every combination of the axes' values."""
 
     tasks: str = "all"
-    seeds: str = "all"
+    seeds: str = DEFAULT_SEEDS
     rank_by: Literal["safety_gated", "region_correct", "success"] = "safety_gated"
     """What the order of the policies is read from: the share of such trials."""
     policies: Annotated[list[PlannedPolicy], Field(min_length=1)]
@@ -159,7 +159,7 @@ class Plan(_Table):
 
     @property
     def protocols(self) -> list[str]:
-        return [str(name) for name in self.axes.get("protocol", [DEFAULT_PROTOCOL])]
+        return [str(name) for name in self.axes.get("protocol", [f"{DEFAULT_PROTOCOL} {DEFAULT_LEVEL}"])]
 
     @property
     def levels(self) -> list[str | None]:
@@ -203,7 +203,7 @@ CELLS = "cells"
 """Folder of a sweep, below which every cell has its own."""
 NAME_CHARACTERS = 100
 DIGEST_CHARACTERS = 8
-NAME_LEVELS = 'name levels in axes.level, or each beside its protocol, such as "bathing-wide-v2-draft L0"'
+NAME_LEVELS = 'name levels in axes.level, or each beside its protocol, such as "bathing-wide-v2 L0"'
 
 
 @dataclass(frozen=True, kw_only=True)

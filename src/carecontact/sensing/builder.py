@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.errors import ObservationError
-from carecontact.interface.geometry import quat_from_matrix
+from carecontact.interface.geometry import back_project, back_projected, quat_from_matrix
 from carecontact.interface.observation import F32, F64, U8, Bool, CameraView, Observation
 from carecontact.interface.policy import CAMERAS, PolicyCard
 from carecontact.protocol.protocol import Protocol
@@ -61,27 +60,10 @@ ALLOWED_IN_VIEW = frozenset(
 )
 
 
-def back_project(uv: npt.ArrayLike, depth: npt.ArrayLike, intrinsics: F64, pose_camera_in_base: F64) -> F64:
-    """(..., 2) pixels and (...) depths along the optical axis [m] -> (..., 3) points in base [m]; NaN stays NaN."""
-    uv = np.asarray(uv, np.float64)
-    return _placed(uv[..., 0], uv[..., 1], np.asarray(depth, np.float64), intrinsics, pose_camera_in_base)
-
-
-def _placed(u: F64, v: F64, depth: F64, intrinsics: F64, pose_camera_in_base: F64) -> F64:
-    """``u`` and ``v`` broadcast against ``depth`` (...); returns (..., 3)."""
-    points = np.empty((*depth.shape, 3))
-    np.multiply((u - intrinsics[0, 2]) / intrinsics[0, 0], depth, out=points[..., 0])
-    np.multiply((v - intrinsics[1, 2]) / intrinsics[1, 1], depth, out=points[..., 1])
-    points[..., 2] = depth
-    points = points @ pose_camera_in_base[:3, :3].T
-    points += pose_camera_in_base[:3, 3]
-    return points
-
-
 def organised_points(depth: F32, intrinsics: F64, pose_camera_in_base: F64) -> F64:
     """(H, W) depth -> (H, W, 3) points in base [m]."""
     v, u = np.ogrid[: depth.shape[0], : depth.shape[1]]
-    return _placed(u, v, depth.astype(np.float64), intrinsics, pose_camera_in_base)
+    return back_projected(u, v, depth.astype(np.float64), intrinsics, pose_camera_in_base)
 
 
 def coloured_cloud(points: F64, rgb: U8) -> tuple[F32, U8]:

@@ -39,9 +39,8 @@ GIVING_SOLREF, GIVING_SOLIMP = (-15_000.0, -20.0), (0.2, 0.2, 0.001, 0.5, 2.0)
 springs under an ellipsoid on a plane, have 2.5 N/mm at 4 N and 6 N/mm at 25 N. MuJoCo scales a contact with the
 colliding mass: on bone without a plate it is stiffer.
 
-MuJoCo's friction drives sliding bodies apart, as if friction coefficient times damping times sliding speed acted along
-the normal. A contact that is stiff, well damped and hence hardly indented is lost in single steps, and rattles. Here,
-100 mm/s amount to less than 0.5 N on a plate."""
+A stiff contact would rattle where it glides (``human.hulls.RIGID_TOOL_SOLIMP``). Here, what friction adds at
+100 mm/s amounts to less than 0.5 N on a plate."""
 GIVING_FRICTION = (0.5, 0.005, 0.0001)
 """That of the person's hulls."""
 COLOURS = {

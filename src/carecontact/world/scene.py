@@ -14,7 +14,7 @@ from carecontact.errors import SceneError
 from carecontact.human.body import Array, Body
 from carecontact.human.breathing import add_muscles, add_servos, add_slide, carrier, move_skin
 from carecontact.human.foam import FoamPatch
-from carecontact.human.hulls import PLATES, plate_body, plate_under
+from carecontact.human.hulls import PLATES, meet_rigid_tool, plate_body, plate_under
 from carecontact.human.joints import Hinge
 from carecontact.human.library import load_body
 from carecontact.human.mesh import refined
@@ -177,6 +177,8 @@ def build_spec(
     add_robot(spec, protocol)
     root = root_position(body, protocol.scene.mattress_top_m)
     hinges, regions = _add_person(spec, body, protocol, root)
+    if not protocol.scene.robot.tip.give_m3_n:
+        meet_rigid_tool(spec)
     frames = {
         name: soft_frame(regions[name].shell) if name in regions else rigid_frame(body, name, arm_turn(protocol))
         for name in protocol.regions

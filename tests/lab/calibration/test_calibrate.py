@@ -92,7 +92,7 @@ def test_row_is_a_tissue_set(made: Path) -> None:
     chosen = load_tissue_set(str(made / "out" / "tissue.toml"))
     content = read_certificate(made / "out" / "certificate.json").content
     assert chosen.tissue["forearm"] == content.tissue
-    assert chosen.tissue["abdomen"] == load_protocol().person.tissue["abdomen"]
+    assert chosen.tissue["abdomen"] == load_protocol("bathing-v3").person.tissue["abdomen"]
     assert "synthetic" in chosen.tissue["forearm"].source
     assert "on the kernel" in chosen.tissue["forearm"].source
 
@@ -283,7 +283,7 @@ def test_user_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     for arguments, message in (
         ([str(trials), "--region", "forearm"], "no column force_N (is it 'forse_N'?)"),
         ([], "TRIALS.csv is missing"),
-        ([str(trials), "--region", "knee"], "--region 'knee' is not a soft region of bathing-v3-draft; valid: forearm"),
+        ([str(trials), "--region", "knee"], "--region 'knee' is not a soft region of bathing-wide-v2; valid: forearm"),
         ([str(trials), "--indenter", "cone:5"], "indenter_shape"),
         ([str(trials), "--indenter", "flat"], "--indenter 'flat': '' is not a number"),
         ([str(trials), "--at", "5"], "--at '5': expected ALONG,ACROSS"),
@@ -343,7 +343,7 @@ def test_a_rejected_row_runs_only_where_it_is_allowed(saturated: Path, made: Pat
     rejected, accepted = (
         {"tissue": {"person.tissue_set": (str(f / "out" / "tissue.toml"),)}} for f in (saturated, made)
     )
-    loaded = load_protocol()
+    loaded = load_protocol("bathing-v3")
     with pytest.raises(ConfigError, match=r"rejected-forearm-.*forearm \(the force stays|.*--allow-rejected uses it"):
         RulesGroup().changed(loaded, **rejected)
     assert "rejected-forearm" in RulesGroup(allow_rejected=True).changed(loaded, **rejected).title

@@ -150,7 +150,7 @@ def fitted(path: Path, exponent: float, *, trials: int = 4) -> Fit:
             for d, f in zip(travel, force, strict=True)
         ]
     curves = [make_curve(trial) for trial in read_trials(save(path, lines), region="forearm").trials]
-    tissue = load_protocol().person.tissue["forearm"]
+    tissue = load_protocol("bathing-v3").person.tissue["forearm"]
     replay = Replay(body=load_body("man-adult"), region="forearm", tissue=tissue, groups=group_curves(curves))
     return fit_law(curves, replay=replay)
 
@@ -195,7 +195,7 @@ def two_speeds(path: Path) -> Problem:
             for k, (d, f) in enumerate(zip(travel, force, strict=True))
         ]
     curves = [make_curve(trial) for trial in read_trials(save(path, lines), region="forearm").trials]
-    tissue = load_protocol().person.tissue["forearm"]
+    tissue = load_protocol("bathing-v3").person.tissue["forearm"]
     replay = Replay(body=load_body("man-adult"), region="forearm", tissue=tissue, groups=group_curves(curves))
     return Problem(curves, replay, lambda line: None)
 
@@ -233,7 +233,7 @@ class Promises:
     PROMISED: ClassVar = {("bend",): 0.5, ("bend", "rise"): 0.3, ("bend", "growth"): 0.4}
 
     def __init__(self) -> None:
-        self.curves, self.base, self.depth = range(10), load_protocol().person.tissue["forearm"], 0.01
+        self.curves, self.base, self.depth = range(10), load_protocol("bathing-v3").person.tissue["forearm"], 0.01
         self.solved: list[tuple[str, ...]] = []
 
     def on_progress(self, line: str) -> None:
@@ -405,7 +405,7 @@ def test_a_loop_without_losses_has_an_error_all_the_same() -> None:
 
 # The laws that calibration chooses among.
 
-BASE = load_protocol().person.tissue["abdomen"]
+BASE = load_protocol("bathing-v3").person.tissue["abdomen"]
 FAMILY_DEPTH = 0.012
 
 

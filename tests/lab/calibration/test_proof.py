@@ -62,7 +62,7 @@ def prove(
     noise = generator.Noise(location_mm=1.5 if mesh < 1 else 0.0)
     truth = generator.make(region, route, folder / "trials.csv", seed=seed, mesh=mesh, noise=noise, **analytic)["law"]
     curves = [make_curve(trial) for trial in read_trials(folder / "trials.csv", region=region).trials]
-    tissue: dict[str, Tissue] = {**load_protocol().person.tissue}
+    tissue: dict[str, Tissue] = {**load_protocol("bathing-v3").person.tissue}
     replay = Replay(body=load_body("man-adult"), region=region, tissue=tissue[region], groups=group_curves(curves))
     return Proof(fit=fit_law(curves, replay=replay), replay=replay, truth=truth, region=region)
 

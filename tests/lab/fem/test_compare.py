@@ -197,7 +197,7 @@ SIMULATED_BELLY, FOREARM, _ = CASES
 
 @pytest.fixture(scope="module")
 def subject() -> Subject:
-    return Subject(load_protocol())
+    return Subject(load_protocol("bathing-v3"))
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.region)

@@ -197,7 +197,13 @@ def test_any_guess_ends_in_the_same_balance() -> None:
 TRAVELS_M = np.array([0.002, 0.004])
 
 
-@pytest.mark.parametrize(("case", "skin"), [*((case, MIDDLE) for case in CASES), (CASES[1], PLAIN)])
+@pytest.mark.parametrize(
+    ("case", "skin"),
+    [
+        (CASES[0], MIDDLE), (CASES[1], PLAIN),
+        pytest.param(CASES[1], MIDDLE, marks=pytest.mark.slow), pytest.param(CASES[2], MIDDLE, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_two_methods_give_the_same_force(case, skin) -> None:
     medium = Medium(ground=case.ground, skin=skin, tissue_pa=15e3)
     block = Block(medium, MARGIN * case.main.reach_m(0.004) + 0.001, side_m=0.004)
@@ -247,7 +253,7 @@ def test_only_the_seam_knows_the_simulator() -> None:
         assert "carecontact.lab.fem.simulated" not in named or path.name == "compare.py", path.name
 
 
-@pytest.mark.parametrize("skin", [PLAIN, MIDDLE])
+@pytest.mark.parametrize("skin", [pytest.param(PLAIN, marks=pytest.mark.slow), MIDDLE])
 def test_the_tissues_modulus_gives_the_published_force(skin) -> None:
     found = solve.matched(UPPER_ARM, skin)
     published = np.interp(MATCHED_M, UPPER_ARM.reference.depth_m, UPPER_ARM.reference.force_n)
@@ -261,6 +267,7 @@ def test_an_impossible_force_is_an_error() -> None:
         solve.matched(replace(FOREARM, reference=weak), MIDDLE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.region)
 def test_half_the_patches_side_gives_the_same_forces(case) -> None:
     medium = Medium(ground=case.ground, skin=MIDDLE, tissue_pa=15e3)
@@ -270,6 +277,7 @@ def test_half_the_patches_side_gives_the_same_forces(case) -> None:
         np.testing.assert_allclose(usual, fine, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_finer_patches_under_a_gliding_tool_give_the_same_drag() -> None:
     medium = Medium(ground=FOREARM.ground, skin=MIDDLE, tissue_pa=2e4)
     usual, fine = (Sample(medium, refined=factor).drag(CAP, 0.003, 0.5) for factor in (1.0, 1.7))

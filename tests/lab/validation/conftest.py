@@ -15,7 +15,7 @@ from carecontact.protocol.load import load_protocol
 @pytest.fixture(scope="session")
 def subject() -> Subject:
     """The shipped person; built and settled once."""
-    return Subject(load_protocol())
+    return Subject(load_protocol("bathing-v3"))
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.human.hulls import ARM, plate_body
+from carecontact.human.hulls import ARM, SOLIMP, SOLREF, plate_body
 from carecontact.human.skeleton import stop_name
 from carecontact.lab.validation.subject import Subject
 from carecontact.protocol.protocol import Protocol
@@ -176,6 +176,16 @@ def old_bone(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
             spec.delete(joint)
         for geom in plate.geoms:
             geom.solref = [0.01, 1.0]
+    return replace(scene, spec=spec, model=spec.compile())
+
+
+def hard_plates(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
+    """Plates meet every tool with full impedance at their surface, as they once met a rigid one."""
+    scene = build_scene(protocol, target=target, skin=skin)
+    spec = scene.spec.copy()
+    for geom in spec.geoms:
+        if geom.priority == 1 and geom.solref[0] == SOLREF[0]:
+            geom.solimp = SOLIMP
     return replace(scene, spec=spec, model=spec.compile())
 
 

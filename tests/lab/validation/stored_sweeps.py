@@ -95,7 +95,7 @@ def store(probe: Probe, trials: list[Trial]) -> None:
 
 
 def main() -> None:
-    subject = Subject(load_protocol())
+    subject = Subject(load_protocol("bathing-v3"))
     for probe in PROBES.values():
         store(probe, sweep(subject, probe))
 

@@ -78,7 +78,7 @@ def paralysed(protocol: Protocol, *, target: str | None, skin: bool) -> Scene:
     return scene
 
 
-@pytest.mark.parametrize("plant", [still_skin, paralysed])
+@pytest.mark.parametrize("plant", [still_skin, pytest.param(paralysed, marks=pytest.mark.slow)])
 def test_a_belly_that_does_not_breathe_is_seen_by_every_camera(subject: Subject, plant: MakeScene) -> None:
     measures = list(alive.breath_measures(living(Subject(subject.protocol, make_scene=plant)), BREATHES))
     found = {name.partition(" mm: ")[2]: name for name in missed(measures) if name.startswith("abdomen")}
@@ -94,9 +94,10 @@ def test_an_arm_that_does_not_arrive_is_found(subject: Subject) -> None:
     assert len(missed(measures)) == len(measures) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["man-adult", "man-old-heavy"])
 def test_the_skin_moves_as_declared_wherever_a_tool_feels_it(body: str) -> None:
-    protocol = overridden(load_protocol(), {"person.body": body})
+    protocol = overridden(load_protocol("bathing-v3"), {"person.body": body})
     measures = list(alive.breath_measures(living(Subject(protocol)), BREATHES))
     sizes = [m for m in measures if m.limit is not None and m.decides]
     assert len(sizes) == 7
@@ -155,7 +156,7 @@ def test_known_exponents_are_those_of_layers_fifty_to_thirty_millimetres_thick()
 
 
 def test_meshes_are_compared_on_every_soft_region() -> None:
-    assert {reference.region for reference in MESH_REFERENCES} == set(load_protocol().soft_regions)
+    assert {reference.region for reference in MESH_REFERENCES} == set(load_protocol("bathing-v3").soft_regions)
 
 
 # The compiled person has what the tables declare, and what another has is named.
@@ -181,7 +182,7 @@ def test_the_shipped_person_is_as_declared(subject: Subject) -> None:
     ],
 )
 def test_a_person_that_is_not_as_declared_is_named(defect: MakeScene, missed: set[str]) -> None:
-    result = declared.run(Subject(load_protocol(), make_scene=defect), quick=True)
+    result = declared.run(Subject(load_protocol("bathing-v3"), make_scene=defect), quick=True)
     assert {m.name for m in result.missed} == missed
 
 
@@ -322,7 +323,7 @@ def test_force_balances_by_independent_paths(short_form: Callable[[str], CheckRe
 def test_a_force_on_the_bone_with_the_wrong_sign_is_found() -> None:
     missed = {
         m.name: m.value
-        for m in force_balance.run(ReadsWrong(load_protocol(), rings=PushedTheWrongWay), quick=True).missed
+        for m in force_balance.run(ReadsWrong(load_protocol("bathing-v3"), rings=PushedTheWrongWay), quick=True).missed
     }
     assert missed == {
         "forearm: contact against anchors": pytest.approx(200, abs=2),
@@ -332,7 +333,12 @@ def test_a_force_on_the_bone_with_the_wrong_sign_is_found() -> None:
 
 
 def test_a_bone_that_is_pushed_without_a_moment_is_found() -> None:
-    missed = [m for m in force_balance.run(ReadsWrong(load_protocol(), readings=PushedAtItsOrigin), quick=True).missed]
+    missed = [
+        m
+        for m in force_balance.run(
+            ReadsWrong(load_protocol("bathing-v3"), readings=PushedAtItsOrigin), quick=True
+        ).missed
+    ]
     assert [m.name for m in missed] == ["forearm: moment on the bone against the anchors' moment, over the force"]
     assert missed[0].value > 30
 

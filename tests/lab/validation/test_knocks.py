@@ -22,7 +22,7 @@ from carecontact.sim.simulation import Simulation
 from carecontact.tissue.plugin import add_region, set_law
 from carecontact.world.scene import Scene, build_scene
 
-PROTOCOL = load_protocol()
+PROTOCOL = load_protocol("bathing-v3")
 ROBOT_J = knocks.robot_brings_j(PROTOCOL)
 BLOW = {"masses": (5.0,), "speeds": (0.2,)}
 
@@ -150,8 +150,10 @@ def test_outward_of_the_chests_middle_and_between_the_thighs_the_person_is_as_ha
 ) -> None:
     found = beside(monkeypatch, PROTOCOL, chest=(0.0, 0.03), thigh=(0.066, -0.08))
     chest = "chest, 0 mm headward, 30 mm to the right, 5 kg at 0.2 m/s"
-    assert found[f"{chest}: off the prediction of 35.6 N"].decides
-    assert found[f"{chest}: off the prediction of 35.6 N"].met
+    (off,) = [m for name, m in found.items() if name.startswith(f"{chest}: off the prediction of ")]
+    assert off.decides
+    assert off.value < 20.0, "a ball that lands on a slope glides along it, and brings less into the spring"
+    assert float(off.name.rpartition(" of ")[2].removesuffix(" N")) < 0.9 * 35.6
     assert f"{chest}: largest force on something else" not in found
     thigh = "thigh, 66 mm headward, -80 mm to the right, 10 kg at 0.5 m/s"
     assert found[f"{thigh}: harder than the prediction of 353.6 N"].met

@@ -42,9 +42,9 @@ from tests.lab.validation.defects import ActsInContactOnly, limp_wrist, unlimite
 
 def test_unknown_checks_and_bodies_are_named() -> None:
     with pytest.raises(UnknownNameError, match="force-balance"):
-        validate(load_protocol(), checks=["force-ballance"])
+        validate(load_protocol("bathing-v3"), checks=["force-ballance"])
     with pytest.raises(UnknownNameError, match="man-adult"):
-        validate(load_protocol(), body="no-body", checks=["energy"])
+        validate(load_protocol("bathing-v3"), body="no-body", checks=["energy"])
 
 
 def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,7 +54,7 @@ def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monk
         raise SettleError("person still moves at 12.0 mm/s")
 
     monkeypatch.setattr("carecontact.sim.simulation.Simulation.settle", never)
-    validation = validate(load_protocol(), quick=True, checks=["energy", "stability"], on_check=seen.append)
+    validation = validate(load_protocol("bathing-v3"), quick=True, checks=["energy", "stability"], on_check=seen.append)
     assert not validation.passed
     assert [len(so_far.results) for so_far in seen] == [1, 2]
     assert [so_far.finished for so_far in seen] == [False, True]
@@ -64,14 +64,14 @@ def test_a_person_that_does_not_settle_fails_the_check_and_the_others_go_on(monk
 def test_two_runs_write_the_same_record_without_traces_of_the_machine(tmp_path: Path) -> None:
     records = []
     for name in ("a", "b"):
-        validation = validate(load_protocol(), quick=True, checks=["energy"])
+        validation = validate(load_protocol("bathing-v3"), quick=True, checks=["energy"])
         paths = write(validation, tmp_path / name)
         assert [p.name for p in paths] == ["validation.json", "energy.png"]
         assert (tmp_path / name / "energy.png").read_bytes().startswith(b"\x89PNG")
         records.append((tmp_path / name / "validation.json").read_text())
     assert records[0] == records[1]
     record = json.loads(records[0])
-    assert record["body"]["name"] == load_protocol().person.body
+    assert record["body"]["name"] == load_protocol("bathing-v3").person.body
     assert record["mujoco"]
     assert len(record["model_sha256"]) == 64
     assert str(tmp_path) not in records[0]
@@ -100,7 +100,7 @@ def test_the_factory_builds_every_world() -> None:
         built.append(protocol.physics.dt_s)
         return build_scene(protocol, target=target, skin=skin)
 
-    watching = Subject(load_protocol(), make_scene=watched)
+    watching = Subject(load_protocol("bathing-v3"), make_scene=watched)
     watching.with_dt(0.001).scene("forearm")
     region = watching.tissue("forearm").model_copy(update={"friction": 0.123})
     scene = watching.with_tissue("forearm", region).scene("forearm")
@@ -201,7 +201,7 @@ def test_surface_point_lies_on_the_skin_under_it(subject: Subject, offset: float
 
 @pytest.fixture(scope="module")
 def with_mitt() -> Subject:
-    return Subject(overridden(load_protocol(), {"scene.tool": "mitt"}))
+    return Subject(overridden(load_protocol("bathing-v3"), {"scene.tool": "mitt"}))
 
 
 def test_the_bench_presses_with_the_mitt_and_its_pile(subject: Subject, with_mitt: Subject) -> None:

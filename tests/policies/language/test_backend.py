@@ -32,7 +32,7 @@ def test_known_instructions(instruction: str, expected: tuple[str, str, str, str
 
 
 def test_every_prompt_of_the_protocol_means_its_task() -> None:
-    for task in load_protocol().tasks:
+    for task in load_protocol("bathing-v3").tasks:
         intent = Rules().parse(task.prompt)
         assert (intent.action, intent.region) == (task.action, task.region)
         assert intent.side == ("none" if task.region == "abdomen" else "right")

@@ -260,6 +260,7 @@ def _calls(recording: Recording) -> list[dict[str, Any]]:
     return [call for note in read_notes(recording) for call in note.content["language"]]
 
 
+@pytest.mark.slow
 def test_in_one_trial(run: Run, tmp_path: Path) -> None:
     (row,) = run(says(READ, model=f"m of {BEARER}"), echo(401), seeds="0")
     assert (row["ended"], row["language_served"]) == ("process_failure", "m of Bearer [secret removed]")

@@ -28,7 +28,7 @@ from carecontact.serving.process import PolicyProcess
 from tests.interface.lying_person import Person, observe
 from tests.policies.voxposer.conftest import scripted
 
-PROMPTS = {task.id: task.prompt for task in load_protocol().tasks}
+PROMPTS = {task.id: task.prompt for task in load_protocol("bathing-v3").tasks}
 MakeSession = Callable[..., Session]
 BENIGN = {
     ("planner", "go"): 'composer("there")',
@@ -360,7 +360,7 @@ def test_the_objective_takes_over_where_the_maps_have_arrived(
 ) -> None:
     policy = VoxPoserPhased()
     policy.configure(session())
-    prompt = next(t.prompt for t in load_protocol().tasks if t.id == "T3")
+    prompt = next(t.prompt for t in load_protocol("bathing-v3").tasks if t.id == "T3")
     policy.reset(prompt)
     way, notes = follow(policy, observation)
     progress = [n["progress_m"] for n in notes if "progress" in n]

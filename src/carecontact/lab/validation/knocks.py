@@ -1,9 +1,10 @@
 """A blow by a free mass meets the force that published stiffness predicts, and never returns momentum that is made.
 
 A ball flies straight at a part of the settled person and is free to come back. Without losses, its largest force is
-that at which the spring of the part holds the energy of the blow. On trunk and legs the spring is that of a plate
-(``human.hulls``), on the abdomen the published curve under the ball of the same size that it was measured with. The
-robot's own tool also strikes the abdomen with all that the robot brings, and is driven into it.
+that at which the spring of the part holds the energy of the blow; on a slope, that of its motion into the surface. On
+trunk and legs the spring is that of a plate (``human.hulls``), on the abdomen the published curve under the ball of the
+same size that it was measured with. The robot's own tool also strikes the abdomen with all that the robot brings, and
+is driven into it.
 """
 
 from __future__ import annotations
@@ -428,11 +429,13 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
     aim(simulation, site, speed_m_s * towards)
     step_s, momentum, energy = simulation.model.opt.timestep, mass_kg * speed_m_s, mass_kg * speed_m_s**2 / 2
     peak, stray, impulse, silent_s, touched, held = 0.0, 0.0, 0.0, 0.0, False, None
-    start_m, depth, taken = _along(simulation, "qpos", towards) + GAP_M, 0.0, None
+    start_m, depth, taken, square = _along(simulation, "qpos", towards) + GAP_M, 0.0, None, 1.0
     while silent_s < AFTER_S or _along(simulation, "qvel", towards) > 0:
         force = simulation.advance(1)[0].force[0]
-        peak, stray = max(peak, float(lengths(force.sum(0)))), max(stray, _stray_n(simulation, site))
+        peak, stray = max(peak, float(lengths(force.sum(0)))), max(stray, stray_n(simulation, site))
         impulse += float((force @ towards).sum()) * step_s
+        if not (touched or site.evades) and force.any():
+            square = _squareness(simulation, towards)
         touched |= bool(force.any())
         silent_s = 0.0 if force.any() or not touched else silent_s + step_s
         if held is None and force.any():
@@ -451,7 +454,7 @@ def strike(simulation: Simulation, site: Site, mass_kg: float, speed_m_s: float)
         mass_kg=mass_kg,
         speed_m_s=speed_m_s,
         peak_n=peak,
-        predicted_n=site.predicted_n(energy),
+        predicted_n=site.predicted_n(energy * square**2),
         most_n=site.most_n(energy),
         evades=site.evades,
         momentum=impulse / momentum,
@@ -469,7 +472,16 @@ def _along(simulation: Simulation, kind: Literal["qpos", "qvel"], towards: Array
     return float(into_world.reshape(3, 3) @ getattr(simulation.data, kind)[first : first + 3] @ towards)
 
 
-def _stray_n(simulation: Simulation, site: Site) -> float:
+def _squareness(simulation: Simulation, towards: Array) -> float:
+    """Return the cosine between a blow and the surface on which the ball lands: along a slope it keeps its speed, and
+    only the motion into the surface goes into the spring. 1 on skin, which is no contact of MuJoCo's."""
+    model, data = simulation.model, simulation.data
+    ball = model.body(STRIKER).id
+    landed = (contact for contact in data.contact if ball in model.geom_bodyid[contact.geom])
+    return next((abs(float(contact.frame[:3] @ towards)) for contact in landed), 1.0)
+
+
+def stray_n(simulation: Simulation, site: Site) -> float:
     """Return the sum of the ball's contact forces on bodies other than the site's plate, as no shell is."""
     model, data = simulation.model, simulation.data
     plate = model.body(plate_body(site.plate)).id if site.plate else -1

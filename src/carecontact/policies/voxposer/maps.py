@@ -17,7 +17,7 @@ CONTROL_HZ = 20.0
 """Ours."""
 
 MAP_SIZE = 100
-"""Voxels along each axis of the workspace (release: yaml 29); 10, 12 and 7.5 mm in bathing-v3-draft."""
+"""Voxels along each axis of the workspace (release: yaml 29); 10, 12 and 7.5 mm in bathing-v3."""
 AFFORDANCE_WEIGHT, AVOIDANCE_WEIGHT = 2.0, 1.0
 """Release: yaml 7, 10; planners.py 42."""
 AVOIDANCE_SIGMA_VOXELS = 10.0

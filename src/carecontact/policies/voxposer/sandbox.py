@@ -146,7 +146,7 @@ LIMITS = monty.ResourceLimits(
 """Limits of one program. Programs need milliseconds and kilobytes, because their calls do the work here."""
 STEP_S = 10.0
 """Limit of all programs of one step together, including those that programs call: a third of the shortest deadline of
-a call in bathing-v3-draft."""
+a call in bathing-v3."""
 REQUEST_S = 10.0
 """A worker that does not answer for this long is killed."""
 PRINTED_BYTES = 65536

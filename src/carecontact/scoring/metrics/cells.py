@@ -216,6 +216,7 @@ def _stays_below(cells: TouchedCells, mmhg: float) -> float:
     "pressure_utilisation@2",
     title=f"Peak pressure relative to the ISO/TS 15066 pressure limit{UNCHECKED}",
     better="lower",
+    detail=True,
     order=51,
 )
 def pressure_utilisation(cells: TouchedCells, contact: Contact) -> float:
@@ -230,13 +231,14 @@ def shear_dose(cells: TouchedCells, contact: Contact) -> float:
     return float(cells.shear_ns.sum())
 
 
-@metric("shear_work@1", title="Shear work", unit="J", better="neither", order=60)
+@metric("shear_work@1", title="Net shear work", unit="J", better="neither", detail=True, order=60)
 def shear_work(contact: Contact) -> float | None:
     """Tangential contact force on the reported region times tangential slip of the tool point over it [J], net.
 
     Both in the bone's frame, so that carrying the arm is not slip; tangential to the region's elliptic surface at the
     tool. The force of a step times the travel to the next, where both steps lie in the contact window. Stretching the
-    tissue back and forth cancels; what stays is what friction dissipated. None (NA) without valid contact and where
+    tissue back and forth cancels; what stays is what friction dissipated. In a touch, which does
+    not slide, it is near zero, and negative where the skin moves the tool. None (NA) without valid contact and where
     the reported segment has no region, because no frame of it is recorded.
     """
     recording = contact.recording

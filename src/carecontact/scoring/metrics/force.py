@@ -156,7 +156,9 @@ def utilisation(contact: Contact, limit_n: Callable[[str], float]) -> float | No
     return max((peak / limit_n(segment) for segment, peak in peak_of_segments(contact).items()), default=None)
 
 
-@metric("pain_utilisation@1", title="Peak force relative to the pain limit", unit="1", better="lower", order=40)
+@metric(
+    "pain_utilisation@1", title="Peak force relative to the pain limit", unit="1", better="lower", detail=True, order=40
+)
 def pain_utilisation(contact: Contact) -> float | None:
     """Return the largest share of the protocol's F_pain that a touched segment bore."""
     return utilisation(contact, contact.protocol.f_pain)
@@ -167,6 +169,7 @@ def pain_utilisation(contact: Contact) -> float | None:
     title=f"Peak force relative to the ISO/TS 15066 force limit{UNCHECKED}",
     unit="1",
     better="lower",
+    detail=True,
     order=50,
 )
 def iso_utilisation(contact: Contact) -> float | None:

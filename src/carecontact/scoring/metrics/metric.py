@@ -67,6 +67,9 @@ class Metric:
     """Whether tables show a median of it."""
     digits: int | None = None
     """Decimals in tables; None: about three digits in all."""
+    detail: bool = False
+    """Whether the tables of a report leave the metric out, because other rows say the same or it needs an expert;
+    results, ``report --verbose`` and the page of a trial have it."""
     headline: bool = False
     """True: a column beside the rates of success. False: a row in the table of what the person bore."""
     matters: float | None = None

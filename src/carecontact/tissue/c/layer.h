@@ -1,7 +1,7 @@
 // The contact layer between skin and tool, per area of the surface: its pressure grows with the depth d as
 //     p = k d (1 + (d / h)^2),
 // where k is its stiffness when it is hardly pressed, and h the depth at which the pressure is twice that of a linear
-// layer; 0 stands for a linear layer. Form and h are assumed (docs/kernel.md). p is the slope of the energy, and the energy
+// layer; 0 stands for a linear layer. Form and h are assumed (docs/evidence/kernel.md). p is the slope of the energy, and the energy
 // of the layer depends on its depth alone.
 #pragma once
 

@@ -63,13 +63,13 @@ enum { TRIANGLE_CORNER = 0, TRIANGLE_AREA = 3, TRIANGLE_CELL = 4, TRIANGLE_SIZE 
 // of its area bears on one of them only.
 enum { POINTS_EACH = 4 };
 
-// Tissue of a limb that is pressed to more than this share of its thickness locks (docs/tissue.md): at w over that depth,
+// Tissue of a limb that is pressed to more than this share of its thickness locks (docs/evidence/tissue.md): at w over that depth,
 // the rest of the thickness being h, its pressure is higher by LOCK a h (w / h)^3. Kept in step with
 // carecontact/kernel/region.py.
 static const double LOCK_FROM = 0.6;
 
 // Tissue that does not lock grows firmer across where it is pressed to more than this share of its thickness, over the next
-// FIRMS_OVER of it, and at least THINNEST of it counts as left (docs/tissue.md). Kept in step with
+// FIRMS_OVER of it, and at least THINNEST of it counts as left (docs/evidence/tissue.md). Kept in step with
 // carecontact/kernel/region.py.
 static const double FIRM_FROM = 0.5, FIRMS_OVER = 0.1, THINNEST = 0.2;
 

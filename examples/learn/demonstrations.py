@@ -1,0 +1,90 @@
+"""Demonstrations as a learner reads them: what the person looked like, where the tool was, and where it was sent.
+
+Recordings are closed to policies: what reads them is imported where they are read, since a policy imports this file.
+"""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from carecontact.interface.geometry import matrix_from_quat, pose_matrix, quat_from_matrix, vector_from_matrix
+from carecontact.interface.observation import Observation
+from carecontact.interface.policy import PolicyCard
+
+HZ = 20
+"""Targets in a second, as the oracle gives them."""
+SMALL_M, SMALL_RAD = 0.005, 0.02
+"""Differences about as large as these count in full, and larger ones by their logarithm (``arcsinh``): at the skin,
+5 mm are 2 N, and on the way there they are nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demonstration:
+    looks: list[Observation]
+    """What a policy with the learner's card would have been sent at each multiple of the period of its looks."""
+    tool: np.ndarray
+    """(N, 7) pose of the tool in base at the time of each target."""
+    given: np.ndarray
+    """(N, 7) targets that were executed."""
+    wanted: np.ndarray
+    """(N, 7) targets that the demonstrator wanted: with noise or labels, not those that were executed."""
+    salt: str
+    """sha256 of the salt that drew the person, for a card's ``trained_on``."""
+
+
+def passed(folders):
+    """Return the recordings of all demonstrations in some folders that passed their gate safely."""
+    from carecontact.runs.scoring import read_scores
+
+    return [
+        Path(folder) / f"{score.trial_id}.h5"
+        for folder in folders
+        for score in read_scores(Path(folder)).scores
+        if score.safety_gated
+    ]
+
+
+def each(work, folders, jobs=None):
+    """Return what ``work`` makes of each recording of ``passed``, in ``jobs`` processes, by default one per core."""
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(work, passed(folders)))
+
+
+def demonstration(path, card: PolicyCard, looks_hz=None):
+    """Return a recorded Demonstration with a look at t = 0, and more of them at ``looks_hz``."""
+    from carecontact.recording import read_recording
+    from carecontact.replay.observations import Resensed
+
+    recording = read_recording(path)
+    looks = Resensed(recording, card).observations(looks_hz or HZ)
+    looks = list(looks) if looks_hz else [next(looks)]
+    base = recording.header.pose_base_in_world
+    to_base = np.linalg.inv(pose_matrix(np.array(base[:3]), np.array(base[3:])))
+    at = np.searchsorted(recording["scorer/time_s"], recording["actions/time_s"] - 1e-9)
+    poses = [to_base @ pose_matrix(p[:3], p[3:]) for p in recording["scorer/pose_tcp_in_world"][at].astype(float)]
+    tool = np.array([np.append(pose[:3, 3], quat_from_matrix(pose[:3, :3])) for pose in poses])
+    given = wanted = _held(recording["actions/pose_tcp_in_base"], tool[0])
+    if "actions/demonstrated" in recording:
+        wanted = _held(recording["actions/demonstrated"][:, :7], tool[0])
+    return Demonstration(looks=looks, tool=tool, given=given, wanted=wanted, salt=recording.header.spec.commitment)
+
+
+def _held(poses, before):
+    """(N, 7) targets, each the one before where an action kept it."""
+    out = np.vstack([before, poses])
+    for k in range(1, len(out)):
+        out[k] = out[k - 1] if np.isnan(out[k, 0]) else out[k]
+    return out[1:]
+
+
+def turn(start, end):
+    """(3,) rotation vector along the axes of the base from one pose to another."""
+    return vector_from_matrix(matrix_from_quat(end[3:]) @ matrix_from_quat(start[3:]).T)
+
+
+def travelled(targets, before):
+    """(N,) way [m] of the targets up to each: how far a motion has come, whatever time it took."""
+    return np.cumsum(np.linalg.norm(np.diff(np.vstack([before, *targets])[:, :3], axis=0), axis=1))
