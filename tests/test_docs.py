@@ -69,7 +69,7 @@ SOURCES = ("src/**/*.py", "src/**/*.toml", "src/**/*.j2", "examples/**/*.*", "cl
 
 
 def test_every_page_that_code_and_messages_name_exists() -> None:
-    files = [path for pattern in SOURCES for path in ROOT.glob(pattern)]
+    files = [path for pattern in SOURCES for path in ROOT.glob(pattern) if path.suffix != ".pyc"]
     named = {page for path in files for page in re.findall(r"\bdocs/[a-z/0-9-]+\.md\b", path.read_text())}
     assert len(named) > 10
     assert not [page for page in sorted(named) if not (ROOT / page).exists()]
