@@ -84,7 +84,7 @@ def test_the_shipped_protocols_park_it_inside_them(name: str) -> None:
         assert (np.array(PANDA.joint_high_rad) > parked).all()
 
 
-def test_the_draft_parks_it_at_its_own_posture() -> None:
+def test_the_papers_protocol_parks_it_at_its_own_posture() -> None:
     assert load_protocol("bathing-v3").scene.parked_joint_rad == PANDA.parked_joint_rad
 
 

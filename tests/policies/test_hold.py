@@ -1,4 +1,4 @@
-"""The hold of the hand over foam: along the normal where there is room, and turned or raised where there is none."""
+"""Over foam, the hand is held along the normal; without room for that, it is turned or raised."""
 
 from __future__ import annotations
 

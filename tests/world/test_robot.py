@@ -137,7 +137,7 @@ def test_base_under_the_floor_is_refused() -> None:
 
 
 def lost_steps(tip: Tip, newton: float, *, solimp: tuple[float, ...], giving: bool) -> int:
-    """Of the last 250 steps in which a tool glides over the flank's plate, how many have no contact."""
+    """Return how many of the last 250 steps of a glide over the flank's plate have no contact."""
     give, kind = GIVES["flank"], mujoco.mjtJoint.mjJNT_SLIDE
     spec = mujoco.MjSpec()
     set_physics(spec, dt_s=0.002)

@@ -42,8 +42,8 @@ def square(rgb: npt.NDArray[np.uint8] | None, size: int) -> npt.NDArray[np.uint8
 
 
 def cloud(view: CameraView, count: int, bounds: ActionBounds, rng: np.random.Generator) -> F32:
-    """(count, 6) points of a view inside the workspace, places in base [m] and colours in [0, 1], of pixels that are
-    drawn without order; some of them twice where there are fewer, and zeros where there is none."""
+    """(count, 6) points of a view inside the workspace: places in base [m] and colours in [0, 1] of random pixels.
+    If fewer pixels are inside, some come twice; if none is, all rows are zero."""
     assert view.rgb is not None
     assert view.depth is not None
     v, u = (rng.integers(side, size=TRIED * count) for side in view.depth.shape)
