@@ -30,7 +30,10 @@ class FakeLauncher(Launcher):
     def start(self, request: TrialRequest, *, log: Path) -> Process:
         if self._forks:
             self._serving()
-            _SERVING[-1][2].write_text(json.dumps([os.getcwd(), dict(os.environ)]))
+            place, given = _SERVING[-1][2], json.dumps([os.getcwd(), dict(os.environ)])
+            # Not twice in a run: a worker that was forked for its last trial may be reading it.
+            if place.read_text() != given:
+                place.write_text(given)
         return super().start(request, log=log)
 
     def close(self) -> None:
