@@ -1,12 +1,13 @@
-"""Keep the scores of a sweep over shipped protocols, and write their table into the page of results.
+"""Keep the scores of a sweep over shipped protocols, and write the table of all kept scores into the page of results.
 
     python tools/keep_sweep.py runs/results [--out docs/results]
 
-The folder is that of a finished ``carecontact sweep``. The scores of a cell become ``PROTOCOL-LEVEL/POLICY.json.gz``,
-where ``carecontact compare`` and the report find the shipped policies and the blind baselines that stand beside a run.
-Where a policy ran with several arguments on one protocol, POLICY.json.gz has the one that passed most trials, and the
-others have their arguments, or ``default``, in the name. The table replaces what stands between TABLE_BEGINS and
-TABLE_ENDS in README.md there. The same cells give the same files.
+The folder is that of a finished ``carecontact sweep``, which may be a piece of the plan with some of its policies or
+protocols. The scores of a cell become ``PROTOCOL-LEVEL/POLICY.json.gz``, where ``carecontact compare`` and the report
+find the shipped policies and the blind baselines that stand beside a run. Where a policy ran with several arguments on
+one protocol, POLICY.json.gz has the one that passed most trials, and the others have their arguments, or ``default``,
+in the name. The table of all kept scores replaces what stands between TABLE_BEGINS and TABLE_ENDS in README.md there.
+The same cells give the same files.
 """
 
 from __future__ import annotations
@@ -28,13 +29,12 @@ TABLE_BEGINS, TABLE_ENDS = "<!-- table -->\n", "<!-- end of the table -->\n"
 def keep(sweep: Path, out: Path) -> list[Path]:
     """Write the table and the scores of a sweep, and return the files.
 
-    Raises CarecontactError if a cell cannot be read, if there is none, or if the cells have different tasks and seeds.
+    Raises CarecontactError if a cell cannot be read, if there is none, or if scores of one protocol, those kept before
+    among them, have different tasks and seeds.
     """
     runs = [read_scores(cell) for cell in sorted((sweep / "cells").glob("*")) if cell.is_dir()]
     if not runs:
         raise CarecontactError(f"{sweep}: no cells; expected the folder of a finished carecontact sweep")
-    if len({frozenset((score.task_id, score.seed) for score in run.scores) for run in runs}) != 1:
-        raise CarecontactError(f"{sweep}: the cells have different trials; run the rest first")
     alike: dict[tuple[str, str], list[RunScores]] = defaultdict(list)
     for run in runs:
         alike[run.scores[0].protocol_id, run.scores[0].policy].append(run)
@@ -43,8 +43,7 @@ def keep(sweep: Path, out: Path) -> list[Path]:
     after = rest.partition(TABLE_ENDS)[2]
     if not after:
         raise CarecontactError(f"{page}: has no place for the table, between {TABLE_BEGINS!r} and {TABLE_ENDS!r}")
-    page.write_text(before + TABLE_BEGINS + table(runs) + TABLE_ENDS + after, encoding="utf-8")
-    files = [page]
+    new: dict[Path, RunScores] = {}
     for (protocol, policy), several in alike.items():
         best_first = sorted(several, key=lambda run: (-passed(run), run.scores[0].policy_title))
         for number, run in enumerate(best_first):
@@ -52,10 +51,21 @@ def keep(sweep: Path, out: Path) -> list[Path]:
             if title == policy:
                 title += " default"  # without arguments; else it would replace the best one's file
             name = policy if number == 0 else re.sub(r"[^A-Za-z0-9._-]+", "-", title)
-            files.append(out / protocol.replace(" ", "-") / f"{name}.json.gz")
-            files[-1].parent.mkdir(exist_ok=True)
-            pack_results(files[-1], run)
-    return files
+            new[out / protocol.replace(" ", "-") / f"{name}.json.gz"] = run
+    kept = {path: read_scores(path) for path in sorted(out.glob("*/*.json.gz"))} | new
+    planned: dict[Path, tuple[Path, frozenset[tuple[str, int]]]] = {}
+    for path, run in kept.items():
+        trials = frozenset((score.task_id, score.seed) for score in run.scores)
+        first, others = planned.setdefault(path.parent, (path, trials))
+        if trials != others:
+            raise CarecontactError(
+                f"{path} and {first.name} have different trials; run the rest, or remove the older one"
+            )
+    page.write_text(before + TABLE_BEGINS + table(list(kept.values())) + TABLE_ENDS + after, encoding="utf-8")
+    for path, run in new.items():
+        path.parent.mkdir(exist_ok=True)
+        pack_results(path, run)
+    return [page, *new]
 
 
 def passed(run: RunScores) -> int:

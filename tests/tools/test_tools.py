@@ -92,10 +92,25 @@ def test_what_is_kept_stands_beside_a_run_of_the_level(
     assert list(beside.kept) == ["mean-person person=better"]
 
 
+def test_pieces_of_a_plan_are_kept_one_after_another(sweep: Path, kept: Path, tmp_path: Path) -> None:
+    main([str(sweep), "--out", str(kept)])
+    later = tmp_path / "later"
+    cell(later, "a", "hover", 0)
+    cell(later, "b", "hover", 1, protocol_id="bathing-wide-v2 L3", seeds=3)
+    assert main([str(later), "--out", str(kept)]) == 0
+    page = (kept / "README.md").read_text()
+    assert f"| policy | {LEVEL} | bathing-wide-v2 L3 |\n" in page
+    assert "| `state-machine` | 2 (100 %) | not run |\n" in page
+    assert "| `hover` | 0 (0 %) | 1 (33 %) |\n" in page
+
+
 def test_unequal_cells_are_refused(sweep: Path, kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main([str(sweep), "--out", str(kept)])
+    page = (kept / "README.md").read_text()
     cell(sweep, "d", "hover", 0, seeds=3)
     assert main([str(sweep), "--out", str(kept)]) == 2
-    assert "different trials" in capsys.readouterr().err
+    assert "different trials; run the rest, or remove the older one" in capsys.readouterr().err
+    assert (kept / "README.md").read_text() == page
     assert main([str(kept), "--out", str(kept)]) == 2
     assert "no cells" in capsys.readouterr().err
 
