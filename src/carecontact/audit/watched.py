@@ -85,6 +85,7 @@ class Keyframe:
     def __init__(self, protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> None:
         """Build the world, let the person settle, and press once."""
         simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
+        self._task_id = task_id
         region = protocol.task(task_id).region
         self.laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
         """Angle [deg] at which the person's arm was laid."""
@@ -99,6 +100,9 @@ class Keyframe:
 
     def parked(self, spec: TrialSpec) -> World:
         """Return the world with the robot parked; give this method to ``run_trial`` as ``prepare``."""
+        if spec.task_id != self._task_id:
+            # Another task has its own foam on the same person.
+            return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
         return self._begin(Simulation(self.scene), self._parked)
 
     def near(self, spec: TrialSpec) -> World:

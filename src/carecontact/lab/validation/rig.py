@@ -321,7 +321,11 @@ def tip_force(simulation: Simulation) -> Array:
     mujoco.mj_solveM(model, data, mobility, jacobian)
     dofs = [model.joint(name).dofadr[0] for name in simulation.robot.joints]
     tissue = sum(felt.generalised_force(model, data) for felt in simulation.tissue.values())
-    torque = (data.qfrc_actuator + data.qfrc_passive - tissue + data.qfrc_applied - data.qfrc_bias)[dofs]
+    # The dry friction of a joint is one of MuJoCo's constraints.
+    dry = np.zeros(model.nv)
+    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF.value
+    dry[data.efc_id[rows]] = data.efc_force[rows]
+    torque = (data.qfrc_actuator + data.qfrc_passive - tissue + data.qfrc_applied - data.qfrc_bias + dry)[dofs]
     return np.linalg.solve(jacobian[:, dofs] @ mobility[:, dofs].T, mobility[:, dofs] @ torque)[:3]
 
 
