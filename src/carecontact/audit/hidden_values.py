@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -282,7 +282,8 @@ def audit_start(one: Watched, other: Watched) -> Part:
     starts = False
     if one.looks and other.looks:
         starts = _another_angle(one, other)
-        first, second = (unpack(trial.looks[0].sent)["observation"] for trial in (one, other))
+        messages = (cast(dict[str, Any], unpack(trial.looks[0].sent)) for trial in (one, other))
+        first, second = (message["observation"] for message in messages)
         for name in ENCODERS:
             if name in first and np.allclose(first[name], second.get(name), rtol=0.0, atol=SOLVED_APART):
                 second[name] = first[name]

@@ -157,11 +157,10 @@ def choose(problem: Problem, *, damping: bool) -> tuple[Solution, tuple[str, ...
 def _next(problem: Problem, found: Solution, lines: list[str]) -> Solution | None:
     """Return the law with the first term that enters, or None where every term stays out; adds a line for each term."""
     now = problem.held_out_squares(found)
-    speeds = [curve.trial.condition.speed_m_s for curve in problem.curves]
     ahead = {term: problem.with_term(found, term) for term in found.family.candidates}
     promised = {term: problem.held_out_squares(one).mean() for term, one in ahead.items()}
     for term in sorted(ahead, key=promised.__getitem__):
-        by_speed = term == "growth" and max(speeds) / min(speeds) >= SPEEDS_APART
+        by_speed = term == "growth" and problem.speeds_apart >= SPEEDS_APART
         if not by_speed and promised[term] > (1 - LEAST_GAIN) * now.mean():
             lines.append(f"{term} stays out: a step promises held-out NRMSE {np.sqrt(promised[term]):.2%}")
             continue

@@ -159,7 +159,8 @@ def tangent(depth: Array, force: Array) -> float:
 def lost_work(
     depth: Array, measured: tuple[Array, Array], simulated: tuple[Array, Array]
 ) -> tuple[float, float] | None:
-    """Return the work [J] that both loops enclose at common depths; None if these are too few."""
+    """Return the work [J], at least LEAST_LOSS, that both loops enclose at depths where both have both ways; None if
+    these are too few."""
     loops = measured[0] - measured[1], simulated[0] - simulated[1]
     both = np.isfinite(loops[0]) & np.isfinite(loops[1])
     if both.sum() <= 3:
@@ -175,7 +176,8 @@ def work_error(lost: list[tuple[float, float] | None]) -> float | None:
 
 
 def pooled(rows: Sequence[Agreement]) -> dict[str, float | None]:
-    """Pool trials: root mean square of ``nrmse``, error of all lost work, means of all other values."""
+    """Pool the agreement of trials: the root mean square of ``nrmse``, the error of all lost work, the means of all
+    other values."""
     values = {name: np.array([getattr(row, name) for row in rows]) for name in POOLED[:-1]}
     means: dict[str, float | None] = {name: float(one.mean()) for name, one in values.items()}
     nrmse = float(np.sqrt(np.mean(values["nrmse"] ** 2)))
@@ -253,7 +255,8 @@ class Problem:
         ]
 
     def residuals(self, tissue: Tissue) -> tuple[Array, tuple[slice, ...]]:
-        """Return differences of force over the measured peak, and the rows of each trial; all weigh the same."""
+        """Return the differences of force divided by the measured peak, and the rows of each trial; all trials weigh
+        the same."""
         return self._differences(self._legs(self.at(tissue)))
 
     def _differences(self, legs: Sequence[tuple[Array, Array]]) -> tuple[Array, tuple[slice, ...]]:
@@ -321,7 +324,8 @@ class Problem:
         return Solution(family=family, p=p, residual=residual, jacobian=self.jacobian(family, p, residual), rows=rows)
 
     def errors(self, tissue: Tissue) -> tuple[Array, float]:
-        """Return residuals and both errors of stiffness of every trial, and the relative error of all work lost."""
+        """Return the residuals together with both errors of stiffness of every trial, and the relative error of the
+        work that all trials lose."""
         legs = self._legs(self.at(tissue))
         pairs = list(zip(self.curves, legs, strict=True))
         stiffness = [stiffness_errors(curve, *both) for curve, both in pairs]
@@ -358,6 +362,11 @@ class Problem:
             gone = folds == fold
             out[gone] = found.squares(found.step((~gone).astype(float)))[gone]
         return out
+
+    @property
+    def speeds_apart(self) -> float:
+        speeds = [curve.trial.condition.speed_m_s for curve in self.curves]
+        return max(speeds) / min(speeds)
 
     def held_out_tangent_squares(self, found: Solution) -> Array:
         """Return the error of each trial's tangent while loading, times the mean error at its speed (trials,), each
