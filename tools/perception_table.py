@@ -44,6 +44,7 @@ from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, pointing_down
 from carecontact.world.randomization import posture_of
 from carecontact.world.scene import build_scene
+from reachability import inverse
 
 Row = dict[str, Any]
 
@@ -159,7 +160,7 @@ def above(place: np.ndarray, protocol: Protocol) -> np.ndarray:
     arm, yaws = Arm(protocol.scene.robot), np.deg2rad(np.arange(0, 360, 30.0))
     seeds = np.tile(protocol.scene.parked_joint_rad, (len(yaws), 1))
     goal = np.tile(place + [0, 0, OVER_M], (len(yaws), 1))
-    postures, error = arm.inverse(goal, pointing_down(yaws), seeds, iterations=120)
+    postures, error = inverse(arm, goal, pointing_down(yaws), seeds, iterations=120)
     solved = error < 2e-3
     if not solved.any():
         sys.exit(f"{protocol.person.body}: the arm cannot reach {place.round(3).tolist()} m")

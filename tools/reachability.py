@@ -51,6 +51,32 @@ LINK_CLEARANCE_M = 0.09
 """Half thickness of the forearm links, kept free above the mattress at the elbow, forearm and wrist."""
 
 
+CENTRING = 0.12
+
+
+def inverse(
+    arm: Arm, position: np.ndarray, rotation: np.ndarray, seed: np.ndarray, *, iterations: int = 60
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve for postures (B, joints) by damped least squares, with joints centred in the null space; return them
+    and the pose errors (B,).
+    """
+    middle, half = arm.range.mean(1), np.ptp(arm.range, axis=1) / 2
+    q = seed.copy()
+    for k in range(iterations):
+        links = arm.links(q)
+        jacobian = arm.jacobian(links)
+        step = arm.pose_error(links, position, rotation)
+        scale = np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
+        damped = jacobian @ jacobian.swapaxes(1, 2) + 1e-5 * np.eye(6)
+        inverse = np.linalg.solve(damped, jacobian).swapaxes(1, 2)
+        # The cubic hardly moves joints in mid-range and pushes those near a limit back.
+        wish = -CENTRING * ((q - middle) / half) ** 3 * half * (k < iterations - 12)
+        task = (jacobian @ wish[:, :, None])[:, :, 0]
+        q = q + (inverse @ (step * scale - task)[:, :, None])[:, :, 0] + wish
+        q = np.clip(q, arm.range[:, 0], arm.range[:, 1])
+    return q, np.linalg.norm(arm.pose_error(arm.links(q), position, rotation), axis=1)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Targets:
     """Skin points of the supine person in world."""
@@ -127,7 +153,7 @@ def study_base(arm: Arm, base: Array, yaw_deg: float, targets: Targets) -> Study
     rotation = np.tile(np.repeat(turn.T @ pointing_down(TOOL_YAWS), s, 0), (n, 1, 1))
     seed = np.tile(np.array(ELBOW_SEEDS), (n * y, 1))
     seed[:, 0] += np.arctan2(position[:, 1], position[:, 0]) * 0.5
-    q, error = arm.inverse(position, rotation, seed)
+    q, error = inverse(arm, position, rotation, seed)
     margin = arm.margin(q)
     manipulability, mass = arm.measures(q)
     heights = arm.links(q)[:, [3, 4, 5, 6], 2, 3] + base[2]
@@ -192,7 +218,7 @@ def study_parked(arm: Arm, base: Array, yaw_deg: float, protocol: Protocol, targ
     tool_yaw = np.tile(yaws, len(spots))
     seed = np.tile(np.array(ELBOW_SEEDS[0]), (len(position), 1))
     seed[:, 0] = np.clip(np.arctan2(position[:, 1], position[:, 0]), -2.5, 2.5)
-    q, error = arm.inverse(position, turn.T @ pointing_down(tool_yaw), seed)
+    q, error = inverse(arm, position, turn.T @ pointing_down(tool_yaw), seed)
     links = arm.links(q)
     good = (error < 1e-4) & (arm.margin(q) > 0.25) & clear_of_view(links, base, turn, protocol, targets)
     good &= np.linalg.norm(position[:, :2], axis=1) > PARKED_REACH_M

@@ -56,7 +56,7 @@ def each(work, folders, jobs=None):
 def demonstration(path, card: PolicyCard, looks_hz=None):
     """Return a recorded Demonstration with a look at t = 0, and more of them at ``looks_hz``."""
     from carecontact.recording import read_recording
-    from carecontact.replay.observations import Resensed
+    from carecontact.replay.dataset import Resensed
 
     recording = read_recording(path)
     looks = Resensed(recording, card).observations(looks_hz or HZ)

@@ -47,13 +47,7 @@ def import_matplotlib() -> Any:
 
 @contextmanager
 def plain_figures(style: Mapping[str, Any] | None = None) -> Generator[None]:
-    """Draw and save figures inside the block, or in a function that this decorates, with matplotlib's own settings.
-
-    Args:
-        style: settings in place of some of these.
-
-    Raises as ``import_matplotlib``.
-    """
+    """Draw inside the block, or a decorated function, with matplotlib's own settings and ``style``."""
     matplotlib = import_matplotlib()
     own = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
     with matplotlib.rc_context({**own, **(style or {})}):

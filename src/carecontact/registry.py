@@ -28,12 +28,8 @@ def entry_points(*, group: str) -> EntryPoints:
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Maps a name to a row.
-
-    Three places supply rows: ``register``, the modules of the package ``scan``, and other installed packages through
-    the entry-point group ``carecontact.<plural>``. A package's row is loaded when it is looked up, and only that one,
-    so that a faulty package harms only its own users.
-    """
+    """Maps a name to a row, from ``register``, the modules of the package ``scan``, or entry points
+    ``carecontact.<plural>``, which are loaded when looked up: a faulty package harms only its own users."""
 
     def __init__(
         self,
@@ -62,13 +58,8 @@ class Registry(Mapping[str, T], Generic[T]):
         """Name that was looked up -> why its package's row cannot be loaded; empty if it can, or no package has it."""
 
     def register(self, name: str, row: T, *, origin: object = None) -> T:
-        """Add a row.
-
-        Args:
-            origin: what an entry point names for this row; default: the row itself.
-
-        Raises ConfigError if the name is taken, or for a row of another class than the registry's.
-        """
+        """Add a row; ``origin`` is what an entry point names for it. Raises ConfigError for a taken name or a wrong
+        class."""
         if name in self._rows:
             raise ConfigError(f"{self.kind} {name!r} is registered twice")
         self._check(row, f"{self.kind} {name!r}")
@@ -93,8 +84,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return found
 
     def __getitem__(self, name: str) -> T:
-        """Raises UnknownNameError, which lists the valid names, and ConfigError for a row that cannot be loaded or
-        whose name several packages have."""
+        """Raises UnknownNameError, or ConfigError for a row that does not load or a name that several packages have."""
         self._load_scanned()
         if name not in self._faults:
             try:

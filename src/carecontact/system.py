@@ -1,5 +1,4 @@
-"""What a process asks of the system: to end with its parent, whether processes or memory are used up or a file system
-has no locks, which release of a package is installed, and where the cache lies."""
+"""What a process asks of the system."""
 
 from __future__ import annotations
 
@@ -25,10 +24,7 @@ KEPT_CAPABILITIES = 1 << 1
 
 
 def die_with_parent(parent: int) -> None:
-    """Let the kernel kill this process as soon as the one that started it is gone; end now if it is gone already.
-
-    ``parent``: the id of that process. The kernel watches the thread that started this process.
-    """
+    """Let the kernel kill this process as soon as ``parent``, the process that started it, is gone."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, int(signal.SIGKILL), 0, 0, 0)
         if os.getppid() != parent:
@@ -42,9 +38,7 @@ def adopt_orphans() -> None:
 
 
 def drop_capabilities() -> None:
-    """Give up, permanently, what root may do beyond other users, except KEPT_CAPABILITIES, and what another user may do
-    in a namespace of its own.
-    """
+    """Give up for good what root may do beyond other users, except KEPT_CAPABILITIES, also in a namespace."""
     if sys.platform != "linux":
         return
     libc, number = ctypes.CDLL(None), CAPSET.get(os.uname().machine)

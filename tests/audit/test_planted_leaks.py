@@ -17,6 +17,7 @@ from carecontact.audit.hidden_values import (
     audit_handshake,
     audit_start,
     other_hidden_values,
+    without_noise,
 )
 from carecontact.audit.run import audit_derivation, two_starts
 from carecontact.audit.schema import audit_schema
@@ -26,6 +27,7 @@ from carecontact.episode.perception import PerceptionLog
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import Session
+from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.notes import JOINTS
 from carecontact.sensing.builder import ObservationBuilder
@@ -213,6 +215,18 @@ def test_the_person_s_arm_in_session_and_encoders(
     assert abs(settled_deg[0] - settled_deg[1]) > 2
     # The same person twice would have shown nothing.
     assert audit_start(honest[0], honest[0]).missing == ["starts with the arm at another angle"]
+
+
+def test_on_the_exam_each_task_has_its_own_foam_and_a_parked_robot_shows_nothing_of_the_person(tmp_path: Path) -> None:
+    """The robot's joints have dry friction, and so the last digits of their readings depend on the solver."""
+    spec = TrialSpec(protocol=load_protocol("bathing-wide-v2", level="L1"), task_id="T1", seed=0, policy="")
+    exam = Keyframe(spec.protocol, task_id="T1", seed=0)
+    quiet = spec.model_copy(update={"protocol": without_noise(spec.protocol)})
+    assert audit_start(*two_starts(quiet, exam, folder=tmp_path)).passed
+    touch, scrub = (exam.parked(spec.model_copy(update={"task_id": task}))[0].scene.foam for task in ("T1", "T3"))
+    assert touch is not None
+    assert scrub is not None
+    assert len(touch.texel) != len(scrub.texel)
 
 
 def test_the_stiffness_in_a_field_that_needs_no_image(leaky_pair: tuple[Watched, Watched]) -> None:

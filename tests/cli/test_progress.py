@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -152,7 +153,7 @@ def test_eighty_columns_show_counts_and_silent_policies_whole(tmp_path: Path, sc
         tally.take(silent(seed))
     console = Console(width=80, file=StringIO(), force_terminal=True, color_system=None)
     bar = RunBar(tally, console=console)
-    bar.advance_to(1, 140)
+    bar.show(replace(event("started", 0), total=140))
     console.print(bar.get_renderable())
     first, *lines = [line.rstrip() for line in console.file.getvalue().splitlines()]
     assert "1/140" in first

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from carecontact.cli.video import MOST_FAILURES, VideoGroup, film_failures
+from carecontact.cli.view import MOST_FAILURES, VideoGroup, film_failures
 from carecontact.errors import RecordingError
 
 

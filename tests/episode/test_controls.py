@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from carecontact.episode.controls import SALT, control_of
 from carecontact.episode.episode import Episode
+from carecontact.episode.looks import SALT, control_of
 from carecontact.episode.randomization import World
 from carecontact.errors import ConfigError
 from carecontact.interface.action import Action

@@ -65,7 +65,7 @@ NAMES_THE_PANDA = {
     "sensing/builder.py": "cites what its measured speeds are derived from",
     "serving/cartesian.py": "cites a file of LIBERO's robots",
     "serving/openpi.py": "DROID's messages give the flange of its robot",
-    "policies/hold.py": "the shipped policies keep its hand and last links clear of the person",
+    "policies/foam.py": "the shipped policies keep its hand and last links clear of the person",
     "policies/motion.py": "the shipped policies keep its tool clear of the person",
     "policies/state_machine.py": "the shipped policies know how far it reaches",
 }

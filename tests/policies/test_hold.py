@@ -14,8 +14,7 @@ from carecontact.interface.body_view import person_points, region_from_observati
 from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.observation import Observation
 from carecontact.interface.robot import PANDA, Session
-from carecontact.policies.foam import FoamSeen, find_foam, leant
-from carecontact.policies.hold import CLEAR_M, holds, room
+from carecontact.policies.foam import CLEAR_M, FoamSeen, find_foam, holds, leant, room
 from carecontact.policies.motion import tool_quat
 from carecontact.policies.pressing import CONTACT
 from carecontact.policies.state_machine import StateMachine

@@ -10,8 +10,14 @@ import pytest
 
 from carecontact.interface.action import Action
 from carecontact.interface.action_spaces import check_action, clip_action
-from carecontact.policies.mean_person import MeanPersonPolicy, geometry_in_base, read_person
-from carecontact.policies.mean_person_force import MeanPersonEstimated, MeanPersonHybrid, MeanPersonSearch
+from carecontact.policies.mean_person import (
+    MeanPersonEstimated,
+    MeanPersonHybrid,
+    MeanPersonPolicy,
+    MeanPersonSearch,
+    geometry_in_base,
+    read_person,
+)
 from carecontact.policies.motion import CONTROL_HZ
 from carecontact.policies.pressing import DAMPING_NS_M, FORCE_N, STIFFNESS
 from tests.policies.synthetic import synthetic_observation, synthetic_view

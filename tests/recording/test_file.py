@@ -288,7 +288,7 @@ def test_paths_outside_the_schema_are_refused(tmp_path: Path, path: str) -> None
 
 def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
     """Zeros that fit the schema and the recording; ``more``: so much longer along the first dimension."""
-    sizes = {"C": 5, "E": 2, "V": 4, "Q": 7}
+    sizes = {"C": 5, "E": 2, "L": 3, "V": 4, "Q": 7}
     for required in ARRAYS:
         sizes |= dict(zip(dimensions(required), recording[required].shape, strict=True))
     shape = [int(name) if name.isdecimal() else sizes[name] for name in dimensions(path)]
@@ -296,6 +296,8 @@ def shaped(path: str, recording: Recording, *, more: int = 0) -> np.ndarray:
 
 
 PARTNERS = {
+    **{path: "perception/camera_index" for path in OPTIONAL_ARRAYS if path.startswith("perception/")},
+    "perception/camera_index": "perception/human_iou",
     "scorer/cell_area_m2": "scorer/cell_press_ns",
     "scorer/cell_in_region": "scorer/cell_press_ns",
     "scorer/foam_cell_share": "scorer/cell_press_ns",

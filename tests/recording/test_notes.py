@@ -16,9 +16,9 @@ from carecontact.interface.regions import STANDARD_REGIONS
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import read_recording, write_recording
-from carecontact.recording.notes import ARRAYS, JOINTS, language_use, perception_errors, read_notes
+from carecontact.recording.notes import JOINTS, PERCEPTION, language_use, perception_errors, read_notes
 from carecontact.recording.reason import REMEDIES, alike, reason, reason_of, remedies
-from carecontact.recording.schema import Failure, Recording
+from carecontact.recording.schema import OPTIONAL_ARRAYS, Failure, Recording, dimensions
 from carecontact.running.lost import harness_error_recording
 from carecontact.scoring import score_recording
 from carecontact.sensing.keypoints import LANDMARK_COUNT
@@ -88,8 +88,9 @@ def old() -> Recording:
 
 
 def rows(count: int) -> dict[str, np.ndarray]:
-    sizes = {path: [len(STANDARD_REGIONS) if n == "R" else n for n in after] for path, (_, after, _) in ARRAYS.items()}
-    return {path: np.zeros((count, *sizes[path]), dtype) for path, (dtype, _, _) in ARRAYS.items()}
+    sizes = {"L": count, "R": len(STANDARD_REGIONS), "12": 12, "3": 3}
+    shapes = {path: [sizes[name] for name in dimensions(path)] for path in PERCEPTION}
+    return {path: np.zeros(shapes[path], OPTIONAL_ARRAYS[path][0]) for path in PERCEPTION}
 
 
 def test_joints_have_the_estimators_numbers() -> None:

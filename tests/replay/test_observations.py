@@ -14,8 +14,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TRAINING_SALT, TrialSpec
 from carecontact.recording import Recording
 from carecontact.recording.pictures import Pictures
-from carecontact.replay.dataset import Rendering
-from carecontact.replay.observations import Resensed
+from carecontact.replay.dataset import Rendering, Resensed
 from carecontact.replay.replay import recorded_actions
 
 CARD = PolicyCard(name="p", modalities=("rgb", "depth"), cameras=("overhead", "wrist"), control_hz=10)

@@ -12,7 +12,6 @@ from carecontact.report.baselines import (
     Baselines,
     beside_baselines,
     beside_shipped_scores,
-    blind_floor,
     completed_from_shipped_scores,
 )
 from carecontact.report.overview import overview, rank
@@ -110,16 +109,11 @@ ORACLE = [s.model_copy(update={"privileged": True}) for s in passed("oracle", "T
 
 
 def test_each_place_has_its_own_best_blind_arm() -> None:
-    floor = blind_floor([REPLAY, MEAN, passed("state-machine", "T1", [True] * 10), ORACLE], METHOD.scores[0])
+    """A method and a ceiling that are named as baselines are no floor beside blind ones."""
+    others = (REPLAY, MEAN, passed("state-machine", "T1", [True] * 10), ORACLE)
+    floor = beside_baselines(METHOD, [RunScores(scores=scores) for scores in others]).floor
     found = {place: (best.policy, best.rate.k, best.rate.n) for place, best in floor.items()}
     assert found == {"all": ("replay", 7, 20), "T1": ("mean-person", 4, 10), "T6": ("replay", 5, 10)}
-
-
-def test_other_rules_have_a_floor_of_their_own() -> None:
-    """A level, an override or another protocol: its hash or its overrides differ."""
-    other = [s.model_copy(update={"protocol_sha256": "1" * 64}) for s in REPLAY]
-    assert blind_floor([other], METHOD.scores[0]) == {}
-    assert blind_floor([other], other[0])["all"].policy == "replay"
 
 
 def test_a_probe_and_a_ceiling_stand_beside_the_floor_and_are_not_it() -> None:

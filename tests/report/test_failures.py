@@ -65,12 +65,13 @@ def test_anatomy_partitions_each_region() -> None:
         make_score("T6", 0, **(NO_CONTACT | {"anatomy": "process_failure"})),
         make_score("T6", 1, ended="harness_error"),
     ]
-    rows = {r.region: (r.n, r.target, r.off_target, r.none, r.process_failure, r.success) for r in anatomy(scores)}
+    kinds = ("n", "target", "off_target", "none", "process_failure", "success")
+    rows = {r["region"]: tuple(r[kind] for kind in kinds) for r in anatomy(scores)}
     assert rows == {
         "forearm": (2, 1, 1, 0, 0, 1), "upper arm": (1, 0, 0, 1, 0, 0), "abdomen": (1, 0, 0, 0, 1, 0),
         "all": (4, 1, 1, 1, 1, 1),
     }  # fmt: skip
-    assert [r.region for r in anatomy(scores[:2])] == ["forearm"]
+    assert [r["region"] for r in anatomy(scores[:2])] == ["forearm"]
 
 
 # What a cause was in one trial, from the evidence that is kept with its score.

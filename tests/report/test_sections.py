@@ -31,7 +31,7 @@ def made(target: np.ndarray, other: np.ndarray | None = None, **changes: object)
     )
     base = ForceTrace(
         time_s=T, target_n=target, other_n=np.zeros_like(T) if other is None else other, windows_s=[(3.0, 9.0)],
-        gate_n=35.0, pain_n=100.0, limits=limits, peak_s=None, peak_n=None,
+        gate_n=35.0, limits=limits, peak_s=None, peak_n=None,
     )  # fmt: skip
     return dataclasses.replace(base, **changes)
 
@@ -95,7 +95,7 @@ def test_trace_of_a_recording() -> None:
     trace = force_trace(recording, make_score("T1", 0, c1_peak_force_n=22.0))
     assert trace.target_n.max() == pytest.approx(22.0)
     assert trace.other_n.max() == pytest.approx(40.0)
-    assert (trace.gate_n, trace.pain_n) == (pytest.approx(35.0), 100.0)
+    assert trace.gate_n == pytest.approx(35.0)
     assert trace.peak_s == T[2500]
     ((start, end),) = trace.windows_s
     assert (start, end) == (pytest.approx(3.0, abs=0.1), pytest.approx(9.0, abs=0.1))
@@ -104,7 +104,7 @@ def test_trace_of_a_recording() -> None:
 def test_abdomen_has_its_own_limits_and_na_has_no_peak() -> None:
     recording = make_recording("T6", 0, {}, duration_s=2)
     trace = force_trace(recording, make_score("T6", 0, **NO_CONTACT))
-    assert (trace.gate_n, trace.pain_n) == (pytest.approx(21.0), 60.0)
+    assert trace.gate_n == pytest.approx(21.0)
     assert trace.windows_s == []
     assert trace.peak_s is None
     assert not trace.is_touched

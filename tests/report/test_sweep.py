@@ -15,7 +15,7 @@ from carecontact.policies.registry import Role
 from carecontact.report import sweep_page
 from carecontact.report.sweep_levels import Ladder, factors, ladder
 from carecontact.report.sweep_page import curve_svg, write_sweep
-from carecontact.report.sweep_table import Bands, CellScores, Group, Stability, bands, stability, sweep_table
+from carecontact.report.sweep_table import Bands, CellScores, Stability, bands, stability, sweep_table
 from carecontact.report.sweep_texts import (
     as_csv,
     as_markdown,
@@ -338,10 +338,10 @@ def trials(name: str, passed: str) -> list[TrialScore]:
 
 
 def found(*groups: tuple[dict[str, str], dict[str, str]]) -> Stability:
-    made = [
-        Group(values=values, scores={name: trials(name, marks) for name, marks in passed.items()})
+    made = {
+        tuple(values.items()): {name: trials(name, marks) for name, marks in passed.items()}
         for values, passed in groups
-    ]
+    }
     result = stability(made, list(groups[0][1]), outcome="safety_gated")
     assert result is not None
     return result
@@ -384,7 +384,7 @@ def test_the_seeds_are_drawn_with_all_their_trials() -> None:
 def test_only_trials_that_every_policy_ran_count() -> None:
     result = found(({"body": "x"}, {"a": "++ +", "b": "+-- "}), ({"body": "y"}, {"a": "  ++", "b": "+-  "}))
     assert (result.n, result.groups, result.passed) == (2, 1, {"a": 2, "b": 1})
-    assert stability([Group(values={}, scores={"a": trials("a", "+")})], ["a", "b"], outcome="safety_gated") is None
+    assert stability({(): {"a": trials("a", "+")}}, ["a", "b"], outcome="safety_gated") is None
 
 
 def test_equal_policies_have_no_order_to_lose() -> None:

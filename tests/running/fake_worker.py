@@ -74,12 +74,15 @@ def one_quiet_period(spec: TrialSpec) -> dict[str, Any]:
 
 
 def main() -> int:
-    from carecontact.running.engine import ANSWERED, DIGEST_BYTES, POLICY_GONE, POLICY_RUNS, TrialRequest
-    from carecontact.running.worker import FIRST_ANSWER, UNREACHED, UNSTORED
+    from carecontact.running.engine import TrialRequest
 
     request = TrialRequest.model_validate_json(sys.stdin.buffer.read())
     spec, out, log = request.spec, request.out, Path(os.environ["FAKE_LOG"])
-    assert request.status_fd is not None
+
+    def report(**said: object) -> None:
+        assert request.status_fd is not None
+        os.write(request.status_fd, f"{json.dumps(said)}\n".encode())
+
     variables = {name: value for name, value in os.environ.items() if name not in ("FAKE_PLAN", "FAKE_LOG")}
     append(log.with_name("commands.txt"), f"{out} {sys.orig_argv} {variables}")
     append(log.with_name("requests.jsonl"), request.model_dump_json())
@@ -88,17 +91,17 @@ def main() -> int:
     does = json.loads(os.environ["FAKE_PLAN"]).get(spec.trial_id, "good")
     does, _, answers = (does[attempt - 1] if isinstance(does, list) else does).partition(":")
     for letter in answers:
-        os.write(request.status_fd, ANSWERED + letter.encode() * DIGEST_BYTES)
-    if does in ("lost", "lost_once", "lost_after", "stopped", "starve", "lack_with_policy"):
-        os.write(request.status_fd, POLICY_RUNS + (POLICY_GONE if does == "lost_after" else b""))
+        report(answer=(letter.encode() * 32).hex())
+    if does in ("lost", "lost_once", "lost_after", "starve", "lack_with_policy"):
+        report(policy_runs=True)
+    if does == "lost_after":
+        report(policy_runs=False)
     while does == "outlasts" and log.read_text().count("T1-s001") < 2:
         time.sleep(0.05)
     if does in ("slow", "slow_lost", "outlasts"):
         time.sleep(3 if does == "slow" else 2)
     if does in ("lost", "lost_after", "kill", "slow_lost") or (does == "lost_once" and attempt == 1):
         os.kill(os.getpid(), signal.SIGKILL)
-    elif does == "stopped":
-        os.kill(os.getpid(), signal.SIGSTOP)
     elif does == "exit":
         sys.stderr.write("evidence on stderr\n")
         sys.stderr.flush()
@@ -106,7 +109,7 @@ def main() -> int:
     elif does == "garbage":
         out.write_bytes(b"not a recording")
     elif does == "full":
-        os._exit(UNSTORED)
+        report(unstored="")
     elif does in ("hang", "starve"):
         if does == "hang":
             child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
@@ -119,14 +122,13 @@ def main() -> int:
 
         write_recording(harness_error_recording(spec, kind=EXHAUSTED, message="no thread is left\n\nTrace"), out)
     elif does == "unreached" or (does == "unreached_server" and "://" in spec.policy):
-        out.with_name(UNREACHED).write_text("nothing listens there")
+        report(unreached="nothing listens there")
     elif does != "nothing":
         if does == "beside":  # Another command begins a run.
             (out.parents[3] / "later").mkdir()
             (out.parents[3] / "later" / "manifest.json").touch()
         elif does == "answers":
-            warnings = ["quaternion: as of " + spec.trial_id, "done: \x1b[2J"]
-            out.with_name(FIRST_ANSWER).write_text(json.dumps(warnings))
+            report(warnings=["quaternion: as of " + spec.trial_id, "done: \x1b[2J"])
         write(spec, out, does)
     return 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -331,7 +331,7 @@ def asking(*conversations: Conversation) -> tuple[RepeatedRequest, list[Any]]:
 def test_a_policy_that_takes_one_reset_is_connected_again() -> None:
     conversations = [Conversation(most_resets=1) for _ in range(3)]
     made, listened = asking(*conversations)
-    with made:
+    with closing(made):
         for _ in range(3):
             assert made.ask(synthetic_observation(), may_refuse=False) is not None
     assert listened == conversations[1:]
@@ -343,7 +343,7 @@ def test_a_policy_that_takes_one_reset_is_connected_again() -> None:
 def test_a_refusal_connects_again_and_one_that_may_not_be_is_raised() -> None:
     refused = replace(synthetic_observation(), instruction="refuse")
     made, listened = asking(Conversation(), Conversation())
-    with made:
+    with closing(made):
         assert made.ask(refused, may_refuse=True) is None
         assert len(listened) == 1
         assert made.ask(synthetic_observation(), may_refuse=True) is not None

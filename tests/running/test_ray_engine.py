@@ -190,9 +190,9 @@ def test_as_many_trials_begin_as_the_cluster_has_cores_now(ray: FakeRay, tmp_pat
     assert engine.waiting() == {"T1-s000": "waits: the cluster has no node with the GPUs that --gpus 0.25 reserves"}
     ray.gpus = 1.0
     assert engine.waiting() == {}
-    assert engine.count() == 1
+    assert len(engine.running) == 1
     engine.kill_all()
-    assert engine.count() == 0
+    assert not engine.running
 
 
 def test_the_folder_of_an_imported_policy_goes_to_the_nodes_without_runs(

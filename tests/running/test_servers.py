@@ -169,11 +169,6 @@ def test_trials_that_run_end_before_the_run_stops(bench: Bench) -> None:
     assert bench.ran() == ["T1-s000", "T1-s001"]
 
 
-def test_a_policy_of_this_machine_cannot_leave_out_a_trial(bench: Bench) -> None:
-    summary = bench.run(specs(1), {"T1-s000": "unreached"})
-    assert (summary.ended, summary.unreached) == ({"T1-s000": "harness_error"}, None)
-
-
 # A policy whose answer is spoilt on its way: the trial ends as its process failure, and the recording says why.
 
 # Runs in the policy's process: its second answer is the bytes in spoilt.bin, as a message or as they are.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,11 +23,10 @@ from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Failure, Recording, canonical_hash, read_recording
 from carecontact.recording.notes import perception_errors
-from carecontact.running.engine import RunSettings, TrialRequest, setup_of
+from carecontact.running.engine import RunSettings, StatusPipe, TrialRequest, setup_of
 from carecontact.running.lost import digest_of
 from carecontact.running.supervisor import run_trials
 from carecontact.running.trial import run_trial
-from carecontact.running.worker import WAITING
 from carecontact.running.workers import Launcher, Workers
 from carecontact.runs.identity import identity_of
 from carecontact.runs.plan import plan_trials
@@ -259,13 +257,15 @@ def test_the_supervisor_reads_the_line_while_it_is_fresh(tmp_path: Path) -> None
     settings = RunSettings(out=tmp_path, work=work, policy=setup, identity=identity, trial_limit_s=60)
     workers = Workers(settings, Launcher([sys.executable, "-c", "import time; time.sleep(60)"]))
     workers.start(SPEC)
+    read, write = os.pipe()
+    status = StatusPipe(read)
+    workers.running[0] = replace(workers.running[0], status=status)
     try:
         assert workers.waiting() == {}
-        note = workers.running[0].partial.with_name(WAITING)
-        note.write_text("waiting for the policy: 40 of 120 s")
+        os.write(write, b'{"waiting": "waiting for the policy: 40 of 120 s"}\n')
+        assert workers.finished() == []
         assert workers.waiting() == {SPEC.trial_id: "waiting for the policy: 40 of 120 s"}
-        past = time.time() - 3 * WAIT_REPORT_S
-        os.utime(note, (past, past))
+        status.waited_s -= 3 * WAIT_REPORT_S
         assert workers.waiting() == {}, "it has answered since"
     finally:
         workers.kill_all()

@@ -210,7 +210,7 @@ def test_the_energy_of_a_knock_is_the_work_of_the_tool_on_the_way_in() -> None:
 @pytest.mark.parametrize(
     ("path", "factor", "message"),
     [
-        ("scorer/cell_press_ns", -1.0, r"cell_press_ns holds -.* valid: 0 or more"),
+        ("scorer/cell_press_ns", -1.0, r"cell_press_ns holds -.* valid: 0 to inf N s"),
         ("scorer/cell_touch_m2s", 1.1, r"cell_touch_m2s holds .*at most the cell's area times the period, 1.125e-06"),
     ],
 )

@@ -17,10 +17,9 @@ from carecontact.recording import SEGMENTS, Recording
 from carecontact.report.trial_page import gate_parts
 from carecontact.scoring import score_recording
 from carecontact.scoring.behaviour import GatePart
-from carecontact.scoring.conduct import conduct
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.cells import COMFORT_MMHG, MMHG_PA
-from carecontact.scoring.metrics.success import judge
+from carecontact.scoring.metrics.success import conduct, judge
 from tests.scoring.synthetic import DT, EXAM, GENTLE, PROTOCOL, TABLE, hold, make_recording, seconds
 
 LIMITS = Conduct(peak_n=15.0, above_n=6.0, above_s=0.5, band_n=(1.0, 6.0), band_s=1.5)

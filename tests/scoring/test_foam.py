@@ -204,8 +204,8 @@ def test_without_foam_nothing_of_this_is_asked() -> None:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("scorer/foam_cell_share", np.full(4, -0.1, np.float32), "shares from 0 to 1"),
-        ("scorer/foam_cell_share", np.full(4, 1.5, np.float32), "shares from 0 to 1"),
+        ("scorer/foam_cell_share", np.full(4, -0.1, np.float32), "holds .*; valid: 0 to 1.001 of a cell"),
+        ("scorer/foam_cell_share", np.full(4, 1.5, np.float32), "holds .*; valid: 0 to 1.001 of a cell"),
         ("scorer/foam_pose_in_region", np.zeros(7), "not a rotation"),
     ],
 )

@@ -15,7 +15,8 @@ from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import PANDA
 from carecontact.protocol.load import load_protocol
-from carecontact.recording.notes import ARRAYS, JOINTS
+from carecontact.recording.notes import JOINTS, PERCEPTION
+from carecontact.recording.schema import OPTIONAL_ARRAYS
 from carecontact.sensing.blazepose import LANDMARK_COUNT
 from carecontact.sensing.builder import ObservationBuilder
 from carecontact.sensing.keypoints import PoseEstimator, no_person, unrotate
@@ -185,9 +186,15 @@ def test_errors_are_measured_beside_the_observation(seen: tuple[Simulation, Scen
     log.add(simulation.data, observation)
     assert renderer.renders["truth"] == before + 1
     rows = log.arrays()
-    assert {path: (a.dtype.str[1:], a.shape[1:]) for path, a in rows.items()} == {
-        path: (dtype, tuple(3 if size == "R" else size for size in shape)) for path, (dtype, shape, _) in ARRAYS.items()
+    assert {path: a.dtype.str[1:] for path, a in rows.items()} == {
+        path: OPTIONAL_ARRAYS[path][0] for path in PERCEPTION
     }
+    sizes = {
+        "perception/joint_visible": (12,),
+        "perception/landmark_error_px": (12,),
+        "perception/target_error_m": (3, 3),
+    }
+    assert {path: a.shape[1:] for path, a in rows.items()} == dict.fromkeys(PERCEPTION, ()) | sizes
     assert rows["perception/observation_index"].tolist() == [1]
     assert rows["perception/joint_visible"][0, list(JOINTS).index("right elbow")]
     assert np.nanmedian(rows["perception/landmark_error_px"]) < 8

@@ -122,7 +122,8 @@ def test_the_limits_are_those_of_the_code() -> None:
 
 def test_the_instructions_and_the_landmarks_are_those_of_the_code() -> None:
     text = " ".join(PAGE.split())
-    assert all(f'"{task.prompt}"' in text for task in load_protocol("bathing-v3").tasks)
+    exam = load_protocol("bathing-wide-v2", level="L2")
+    assert all(f'"{exam.task(task.id).prompt}"' in text for task in exam.tasks)
     left = [LANDMARK[f"left {joint}"] for joint in ("shoulder", "elbow", "wrist", "hip")]
     right = [LANDMARK[f"right {joint}"] for joint in ("shoulder", "elbow", "wrist", "hip")]
     assert f"{left[0]}, {left[1]}, {left[2]} and {left[3]} are the person's left shoulder, elbow, wrist and hip" in text

@@ -198,12 +198,6 @@ def test_touch_is_interpolated() -> None:
         touch_depth(np.array([0.0, 1.0]), np.array([0.0, 0.5]), 0.75)
 
 
-@pytest.mark.parametrize(("shape", "size"), [("cap", 0.01), ("flat", None), ("hemisphere", 10.0), ("wedge", 0.01)])
-def test_impossible_indenters_are_refused(shape: str, size: float | None) -> None:
-    with pytest.raises(ConfigError, match=r"indenter|cap"):
-        Indenter(shape=shape, size_m=size)  # type: ignore[arg-type]
-
-
 def test_a_disc_as_large_as_a_palm_presses_evenly() -> None:
     made = Bench(
         body=load_body("man-adult"),

@@ -11,7 +11,7 @@ import pytest
 
 from carecontact.episode.episode import Episode
 from carecontact.policies.blind import FeintAndWait
-from carecontact.policies.mean_person_force import MeanPersonEstimated, MeanPersonHybrid, MeanPersonSearch
+from carecontact.policies.mean_person import MeanPersonEstimated, MeanPersonHybrid, MeanPersonSearch
 from carecontact.policies.state_machine import StateMachine
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec

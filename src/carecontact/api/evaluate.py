@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from carecontact.api.run import Run
 from carecontact.errors import ConfigError, DependencyError, PolicyError, counted
@@ -28,9 +28,6 @@ from carecontact.runs.scoring import beside_plan
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.opening import open_policy
 from carecontact.serving.serve import served
-
-if TYPE_CHECKING:
-    from carecontact.protocol.protocol import Protocol
 
 PORT = 8765
 """Port at which a policy object is served. It is always the same one, because it stands in the recordings: with another
@@ -77,7 +74,9 @@ def evaluate(
     Raises ConfigError for anything given wrongly, for a policy that does not start, and for a server that stays out of
     reach. A trial in which the policy crashes is a result.
     """
-    rules = _protocol(protocol, level, overrides or {})
+    rules = overridden(check_frozen(protocol, load_protocol(protocol, level=level), unfrozen=False), overrides or {})
+    check_protocol(rules)
+    check_rows(rules)
     check_accepted(rules, allowed=allow_rejected)
     task_ids = parse_tasks(_listed("tasks", tasks), protocol=rules)
     seed_numbers = parse_seeds(_listed("seeds", seeds), protocol=rules)
@@ -98,14 +97,11 @@ def evaluate(
         )
     if summary.unreached is not None:
         raise ConfigError(f"the run stops with {counted(len(summary.ended), 'trial')} done: {summary.unreached}")
-    return _scored(place)
-
-
-def _protocol(name: str, level: str | None, overrides: Mapping[str, object]) -> Protocol:
-    rules = overridden(check_frozen(name, load_protocol(name, level=level), unfrozen=False), overrides)
-    check_protocol(rules)
-    check_rows(rules)
-    return rules
+    scored = beside_plan(place, score_run(place))
+    write_scores(place, scored)
+    with suppress(DependencyError):
+        write_trial_table(place, scored.scores)
+    return Run(path=place, scored=scored)
 
 
 def _listed(name: str, given: object) -> str:
@@ -177,11 +173,3 @@ def _card(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
             return conversation.start()
     except PolicyError as error:
         raise ConfigError(f"policy {setup.ref} does not start: {reason(str(error))}") from None
-
-
-def _scored(out: Path) -> Run:
-    scored = beside_plan(out, score_run(out))
-    write_scores(out, scored)
-    with suppress(DependencyError):
-        write_trial_table(out, scored.scores)
-    return Run(path=out, scored=scored)

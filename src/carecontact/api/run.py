@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -21,54 +21,8 @@ if TYPE_CHECKING:
     from carecontact.scoring.result import TrialScore
 
 
-# The trials of a run as a table of pandas, polars or pyarrow. No library is imported before it is asked for.
-
 FrameLibrary = Literal["pandas", "polars", "pyarrow"]
 LIBRARIES: tuple[FrameLibrary, ...] = get_args(FrameLibrary)
-
-
-def frame(scores: Sequence[TrialScore], *, library: FrameLibrary | None = None) -> Any:
-    """Return one row for each trial; see ``Run.trials``.
-
-    Raises DependencyError if the library or pyarrow is not installed, and ConfigError for another library's name.
-    """
-    chosen = library or _installed()
-    if chosen not in LIBRARIES:
-        raise ConfigError(
-            f"there is no table for {chosen!r}{did_you_mean(str(chosen), LIBRARIES)}; valid: {', '.join(LIBRARIES)}"
-        )
-    table = trial_table(scores)
-    if chosen == "pyarrow":
-        return table
-    try:
-        made = import_module(chosen)
-    except ModuleNotFoundError:
-        package = "'carecontact[tables]'" if chosen == "pandas" else chosen
-        raise DependencyError(f"{chosen} is not installed: pip install {package}") from None
-    if chosen == "polars":
-        return made.from_arrow(table)
-    # Whole numbers, truths and texts with NA keep their types; without this, pandas makes them floats and objects.
-    return table.to_pandas(types_mapper=_nullable(made))
-
-
-def _installed() -> FrameLibrary:
-    if find_spec("pandas"):
-        return "pandas"
-    if find_spec("polars"):
-        return "polars"
-    raise DependencyError("neither pandas nor polars is installed: pip install 'carecontact[tables]'")
-
-
-def _nullable(pandas: Any) -> Any:
-    arrow = import_module("pyarrow")
-    return {
-        arrow.int64(): pandas.Int64Dtype(),
-        arrow.bool_(): pandas.BooleanDtype(),
-        arrow.string(): pandas.StringDtype(),
-    }.get
-
-
-# A finished run as an object: its trials as a table, its recordings as arrays, its scores.
 
 
 def load(path: str | Path, *, rescore: bool = False) -> Run:
@@ -154,10 +108,39 @@ class Run:
         Args:
             library: ``"pandas"``, ``"polars"`` or ``"pyarrow"``; by default pandas if it is installed, else polars.
 
-        Raises DependencyError if the library or pyarrow is not installed.
+        Raises DependencyError if the library or pyarrow is not installed, and ConfigError for another name.
         """
+        chosen = library or _installed()
+        if chosen not in LIBRARIES:
+            raise ConfigError(
+                f"there is no table for {chosen!r}{did_you_mean(str(chosen), LIBRARIES)}; valid: {', '.join(LIBRARIES)}"
+            )
+        table = trial_table(self.scores)
+        if chosen == "pyarrow":
+            return table
+        try:
+            made = import_module(chosen)
+        except ModuleNotFoundError:
+            package = "'carecontact[tables]'" if chosen == "pandas" else chosen
+            raise DependencyError(f"{chosen} is not installed: pip install {package}") from None
+        if chosen == "polars":
+            return made.from_arrow(table)
+        # Whole numbers, truths and texts with NA keep their types; without this, pandas makes them floats and objects.
+        arrow = import_module("pyarrow")
+        types = {
+            arrow.int64(): made.Int64Dtype(),
+            arrow.bool_(): made.BooleanDtype(),
+            arrow.string(): made.StringDtype(),
+        }
+        return table.to_pandas(types_mapper=types.get)
 
-        return frame(self.scores, library=library)
+
+def _installed() -> FrameLibrary:
+    if find_spec("pandas"):
+        return "pandas"
+    if find_spec("polars"):
+        return "polars"
+    raise DependencyError("neither pandas nor polars is installed: pip install 'carecontact[tables]'")
 
 
 class _Results(dict[str, Any]):

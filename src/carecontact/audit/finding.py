@@ -48,11 +48,9 @@ def refuse_simulators() -> None:
 
 
 def within_reach() -> list[str]:
-    """Return the modules of CLOSED that are loaded or could be loaded.
-
-    After ``refuse_simulators``, this function asks the hook that was installed: it can find that the hook was forgotten
-    or came too late, but not that the hook itself fails. The tests check that with the interpreter's log of imports.
-    """
+    """Return the modules of CLOSED that are loaded or could be loaded. After ``refuse_simulators``, this function asks
+    the hook that was installed: it can find that the hook was forgotten or came too late, but not that the hook itself
+    fails. The tests check that with the interpreter's log of imports."""
     loaded = {name for name in sys.modules if _closed(name)}
     return sorted(loaded | {name for name in CLOSED if _importable(name)})
 
@@ -72,11 +70,7 @@ LONGEST_S = 1800.0
 
 
 def output_of(code: str, logs: Path, *, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Run ``code`` by ``python -c`` with two arguments, the folder of the package and ``logs``; return the JSON object
-    that it prints last. The process shares neither memory nor patches with the audited one.
-
-    Raises CarecontactError if the process fails or takes longer than LONGEST_S.
-    """
+    """Run ``code`` by ``python -c`` in a process that shares nothing; return the JSON object that it prints last."""
     command = [sys.executable, "-P", "-c", code, str(Path(carecontact.__file__).resolve().parents[1]), str(logs)]
     texts: dict[str, Any] = {"capture_output": True, "text": True, "errors": "replace"}
     given = {**os.environ, **(environment or {})}
@@ -102,10 +96,22 @@ def findings(policy: str, found: Iterable[tuple[str, str]], *, before: str = "",
     return [Finding(policy, place, f"{before}{what}{after}") for place, what in found]
 
 
+TIME = "time"
+TITLES = {
+    "re-derivation": "observations recomputed without a simulator",
+    "readings": "time, encoders and images recomputed from the recorded state",
+    "frozen frames": "hidden state of the world scrambled while the images stay the same",
+    "canary": "same observations until contact in worlds with different hidden values",
+    "handshake": "start, handshake and reset of two different trials",
+    "schema": "messages of real trials of each policy",
+    TIME: "wall time between two acts against contact",
+}
+"""Name of a part -> its title, in the order of the table. Recordings alone are enough for the last one."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     name: str
-    title: str
     counts: dict[str, int]
     """What was examined, and how often. A part that examined nothing has shown nothing, and fails."""
     findings: tuple[Finding, ...]
@@ -113,6 +119,10 @@ class Part:
     """What the part measured without judging it."""
     nothing_to_examine: bool = False
     """Whether nothing was there that could have shown a leak. This is no fault, so the part does not fail."""
+
+    @property
+    def title(self) -> str:
+        return TITLES[self.name]
 
     @property
     def passed(self) -> bool:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -25,7 +25,6 @@ from carecontact.serving.packing import unpack
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 
-FROZEN_NAME, FROZEN_TITLE = "frozen frames", "hidden state of the world scrambled while the images stay the same"
 ROUNDS = 2
 POSES = (
     "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat",
@@ -42,9 +41,7 @@ HIDDEN_OF_MODEL = (
 
 def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruction: str) -> Part:
     """Part (b) holds images and encoders still and tests whether anything else in the world changes the observation.
-
-    ``simulation`` must be at a moment of contact. Its data and model are the same afterwards.
-    """
+    ``simulation`` must be at a moment of contact. Its data and model are the same afterwards."""
     leaks: list[Finding] = []
     scrambled_only = ", although only hidden state was scrambled"
     fields = changed = 0
@@ -90,12 +87,11 @@ def audit_frozen(simulation: Simulation, cards: Sequence[PolicyCard], *, instruc
     counts = {"cards": len(cards), "fields of the world scrambled": min(fields, changed)}
     if shown:
         counts["images drawn again"] = len(shown)
-    return Part(name=FROZEN_NAME, title=FROZEN_TITLE, counts=counts, findings=tuple(leaks))
+    return Part(name="frozen frames", counts=counts, findings=tuple(leaks))
 
 
 def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callable[[str], Any]) -> mujoco.MjData:
-    """Return a copy of the data with random numbers everywhere except at the indices that ``keep(field)`` gives; True
-    keeps the whole field."""
+    """Return the data with random numbers, except at the indices that ``keep(field)`` gives; True keeps the field."""
     data = copy.copy(simulation.data)
     for name, array in _arrays(data).items():
         kept = keep(name)
@@ -113,11 +109,8 @@ def scrambled(simulation: Simulation, rng: np.random.Generator, *, keep: Callabl
 
 
 def scrambled_model(model: mujoco.MjModel, rng: np.random.Generator) -> mujoco.MjModel:
-    """Return a copy of the model with random numbers in all fields of HIDDEN_OF_MODEL.
-
-    None is below 1, so that a world can still be made: the compiled tissue refuses a model whose solver makes less than
-    one sweep.
-    """
+    """Return a copy of the model with random numbers in all fields of HIDDEN_OF_MODEL. None is below 1, so that a world
+    can still be made: the compiled tissue refuses a model whose solver makes less than one sweep."""
     model = copy.deepcopy(model)
     for name in HIDDEN_OF_MODEL:
         _draw(getattr(model, name), rng, low=1.0)
@@ -172,7 +165,6 @@ class _Frames:
                 delattr(renderer, kind)
 
 
-CANARY_NAME, CANARY_TITLE = "canary", "same observations until contact in worlds with different hidden values"
 OTHER_SEED = 48_611
 """Added to the seed; no protocol uses such seeds."""
 OTHER_ANGLES = 8
@@ -181,8 +173,7 @@ CONTROL = "scorer/force_human_from_robot_in_world"
 
 
 def without_noise(protocol: Protocol) -> Protocol:
-    """Return the protocol without sensor noise and errors of calibration: both are drawn from the seed by design, so
-    that they would differ between the two worlds."""
+    """Return the protocol without sensor noise and errors of calibration, which would differ between two worlds."""
     exact = {"depth_noise": "none", "encoder_noise_rad": 0.0, "calibration_m": 0.0, "calibration_deg": 0.0}
     quiet = protocol.variation.model_copy(update=exact)
     return protocol.model_copy(update={"variation": quiet})
@@ -226,10 +217,7 @@ def other_arm_angle(spec: TrialSpec, *, own_deg: float) -> TrialSpec:
 
 
 def audit_canary(one: Watched, twin: Watched) -> Part:
-    """Part (c): two worlds that differ only in hidden values give the same observations until the tool touches.
-
-    ``one`` and ``twin``: what ``watched.press`` returned, with the observations still in memory.
-    """
+    """Part (c): two worlds that differ only in hidden values give the same observations until the tool touches."""
     leaks: list[Finding] = []
     for which, trial in (("first", one), ("other", twin)):
         leaks += _failed(trial, trial.policy, f"could not be run in the {which} world")
@@ -257,7 +245,7 @@ def audit_canary(one: Watched, twin: Watched) -> Part:
             same = "is the same in both worlds after contact: the other hidden values had no effect"
             leaks.append(Finding(one.policy, CONTROL, f"{same}, so this part proves nothing"))
     counts = {"observations before contact": before, "scorer samples that differ after contact": after}
-    return Part(name=CANARY_NAME, title=CANARY_TITLE, counts=counts, findings=tuple(leaks))
+    return Part(name="canary", counts=counts, findings=tuple(leaks))
 
 
 def _failed(trial: Watched, policy: str, what: str) -> list[Finding]:
@@ -269,25 +257,24 @@ def _different(look: Message, other: Message) -> list[tuple[str, str]]:
     return [] if look.sent == other.sent else message_differences(unpack(look.sent), unpack(other.sent))
 
 
-HANDSHAKE_NAME, HANDSHAKE_TITLE = "handshake", "start, handshake and reset of two different trials"
 ONLY = ", in trials that differ only in "
 
 
 def audit_handshake(one: Watched, twin: Watched) -> Part:
-    """Part (d) tests whether anything that reaches a policy's process before its first observation reveals the trial.
-
-    ``one`` and ``twin``: witnesses of two trials that differ in seed, id, labels, thresholds and tissue.
-    """
+    """Part (d): what reaches a policy's process before its first observation does not reveal the trial."""
     leaks = _received_differently(one, twin, "seed, id, labels, thresholds and tissue")
     counts = {"facts that reached the process": len(_leaves(one.received, "")) if twin.received else 0}
-    return Part(name=HANDSHAKE_NAME, title=HANDSHAKE_TITLE, counts=counts, findings=tuple(leaks))
+    return Part(name="handshake", counts=counts, findings=tuple(leaks))
+
+
+ENCODERS = ("joint_position", "joint_velocity", "pose_tcp_in_base", "velocity_tcp_in_base")
+SOLVED_APART = 1e-9
+"""Largest difference [rad, m, rad/s, m/s] of the parked robot's readings that counts as none. MuJoCo solves the dry
+friction of the robot's joints together with the person's constraints, and ends within 4e-10 of rest on either side."""
 
 
 def audit_start(one: Watched, other: Watched) -> Part:
-    """Compare what two blind witnesses know at t = 0, first observation included: all of it must be the same.
-
-    ``one`` and ``other``: witnesses without a camera, of trials whose seeds lay the person's arm at different angles.
-    """
+    """Compare what two blind witnesses know at t = 0, first observation included: all of it must be the same."""
     what = "seed and the angle of the person's arm"
     leaks = _received_differently(one, other, what)
     for trial in (one, other):
@@ -295,10 +282,15 @@ def audit_start(one: Watched, other: Watched) -> Part:
     starts = False
     if one.looks and other.looks:
         starts = _another_angle(one, other)
-        changes = _different(one.looks[0], other.looks[0])
+        messages = (cast(dict[str, Any], unpack(trial.looks[0].sent)) for trial in (one, other))
+        first, second = (message["observation"] for message in messages)
+        for name in ENCODERS:
+            if name in first and np.allclose(first[name], second.get(name), rtol=0.0, atol=SOLVED_APART):
+                second[name] = first[name]
+        changes = differences(first, second, "observation")
         leaks += findings(one.policy, changes, before="at t = 0: ", after=f"{ONLY}{what}")
     counts = {"starts with the arm at another angle": int(starts)}
-    return Part(name=HANDSHAKE_NAME, title=HANDSHAKE_TITLE, counts=counts, findings=tuple(leaks))
+    return Part(name="handshake", counts=counts, findings=tuple(leaks))
 
 
 def _another_angle(one: Watched, other: Watched) -> bool:

@@ -7,26 +7,25 @@ computed from the cell's calibration and the encoders alone, by other code than 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict
 
 from carecontact.interface.geometry import matrix_from_quat
-from carecontact.interface.observation import Observation
+from carecontact.interface.observation import F64, Observation
 from carecontact.interface.robot import Baked
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.sensing.builder import RawReadings, RawView
 
 
 def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
-    """Return a pair of place and difference for every leaf of two values as sent over the wire that differs in any bit:
-    array, number or text."""
+    """Return a pair of place and difference for every leaf of two values that differs in any bit."""
     if isinstance(expected, dict) and isinstance(got, dict):
         out = [(f"{place}.{key}", "is present, but must not be") for key in sorted(got.keys() - expected.keys())]
         out += [(f"{place}.{key}", "is missing") for key in sorted(expected.keys() - got.keys())]
@@ -46,8 +45,7 @@ def differences(expected: Any, got: Any, place: str) -> list[tuple[str, str]]:
 
 
 def message_differences(expected: Any, got: Any) -> list[tuple[str, str]]:
-    """Return the differences of two messages that are not the same bytes. The packing must not hide anything either,
-    for example in the order of keys."""
+    """Return the differences of two messages that are not the same bytes, not even in how they are packed."""
     found = [(place.removeprefix("message."), what) for place, what in differences(expected, got, "message")]
     return found or [("message", "the same values are packed in other bytes")]
 
@@ -65,8 +63,6 @@ def _of_arrays(expected: np.ndarray, got: np.ndarray) -> str:
     size = f", by up to {finite.max():.3g}" if finite.size else ""
     return f"{int(other.sum())} of {len(other)} numbers differ{size}"
 
-
-F64 = npt.NDArray[np.float64]
 
 SAME = 1e-12
 """Largest difference that counts as none, in matrix entries [1] and lengths [m]: a hundred times what rounding leaves
@@ -121,10 +117,10 @@ META, SPEC, FOAM = "trial.json", "spec.json", "foam.npy"
 IMAGES = ("rgb", "depth", "robot_depth", "cell_depth")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Meta:
+class Meta(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
     policy: str
-    """Name of the policy that showed the card."""
     instruction: str
     modalities: tuple[str, ...]
     cameras: tuple[str, ...]
@@ -134,7 +130,7 @@ class Meta:
     calibration: dict[str, list[list[float]]]
     """Fixed camera -> (4, 4) error with which the cell knows its pose (``observation.calibration``); empty where the
     cell knows the poses exactly."""
-    arguments: dict[str, str] = field(default_factory=dict[str, str])
+    arguments: dict[str, str] = {}
     """The card's arguments. For a dialect, they say how its messages are made."""
 
 
@@ -144,11 +140,11 @@ class WorldState:
 
     steps: int
     """Physics steps since t = 0."""
-    joint_position: npt.NDArray[np.float64]
+    joint_position: F64
     """(joints,) of the robot [rad]"""
-    joint_velocity: npt.NDArray[np.float64]
+    joint_velocity: F64
     """(joints,) of the robot [rad/s]"""
-    vector: npt.NDArray[np.float64]
+    vector: F64
     """(n,) everything that pictures depend on but the foam, in the order of ``state.DRAWN``."""
 
 
@@ -158,21 +154,18 @@ class LoggedLook:
     raw: RawReadings
     sent: bytes
     state: WorldState
-    foam_left: npt.NDArray[np.float64] | None
+    foam_left: F64 | None
     """(C,) share of the foam that is left on each cell, as the finished recording gives it; None without foam"""
 
 
 def write_meta(folder: Path, meta: Meta, spec: TrialSpec) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / META).write_text(json.dumps(asdict(meta)))
+    (folder / META).write_text(meta.model_dump_json())
     (folder / SPEC).write_text(spec.model_dump_json())
 
 
 def read_meta(folder: Path) -> Meta:
-    fields = json.loads((folder / META).read_text())
-    for name in ("modalities", "cameras", "tcp_in_hand_m"):
-        fields[name] = tuple(fields[name])
-    return Meta(**fields)
+    return Meta.model_validate_json((folder / META).read_text())
 
 
 def read_spec(folder: Path) -> TrialSpec:
@@ -200,8 +193,7 @@ def write_look(
     np.savez(folder / f"look-{index:04d}.npz", allow_pickle=False, **arrays)
 
 
-def write_foam(folder: Path, left: npt.NDArray[np.float64]) -> None:
-    """Write what is left of the foam (looks, C) at all looks (``LoggedLook.foam_left``)."""
+def write_foam(folder: Path, left: F64) -> None:
     np.save(folder / FOAM, left, allow_pickle=False)
 
 

@@ -46,8 +46,7 @@ def main(folder: str) -> None:
 
 
 def rederive_trial(folder: Path, keypoints: KeypointEstimator) -> list[dict[str, Any]]:
-    """Return one row for each observation: trial, policy, time, bytes sent, and ``differences`` as pairs of a place and
-    what differs there."""
+    """Return one row for each observation, with ``differences`` as pairs of a place and what differs there."""
     meta = read_meta(folder)
     return [
         {

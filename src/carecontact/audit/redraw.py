@@ -75,15 +75,11 @@ class Pictures:
         return np.ascontiguousarray(image[::-1])
 
     def upload(self, texture: str) -> None:
-        """Take over a texture that has changed in the model."""
         self._context.make_current()
         mujoco.mjr_uploadTexture(self.model, self._mjr, self.model.texture(texture).id)
 
     def depth(self, data: mujoco.MjData, camera: str, *, group: int | None = None) -> npt.NDArray[np.float32]:
-        """Return the depth (H, W) [m] along the optical axis, NaN beyond DEPTH_RANGE_M.
-
-        ``group``: the only group of geoms that is drawn; None draws all.
-        """
+        """Return the depth (H, W) [m] along the optical axis, NaN beyond DEPTH_RANGE_M."""
         buffer = np.empty(self._size(camera), np.float32)
         self._draw(data, camera, group, None, buffer)
         near, far = (self.model.stat.extent * clip for clip in (self.model.vis.map.znear, self.model.vis.map.zfar))
@@ -143,12 +139,10 @@ sys.path.insert(0, sys.argv[1])
 from carecontact.audit.redraw import main
 main(sys.argv[2])
 """
-"""Program for ``python -c``. Its arguments are the folder of the package and that of the trial logs (``raw_log``)."""
 
 
 def main(folder: str) -> None:
-    """Print one JSON object: ``looks`` of every trial, as ``rederive.main`` does, and ``images``, the number of images
-    drawn."""
+    """Print JSON: ``looks`` of every trial, as ``rederive.main`` does, and ``images``, the number of images drawn."""
     worlds: dict[str, _World] = {}
     looks: list[dict[str, Any]] = []
     for trial in sorted(path for path in Path(folder).iterdir() if (path / SPEC).is_file()):
@@ -181,10 +175,7 @@ class _World:
         self._cell, self._robot = cell_model(self._drawn.protocol), self._drawn.protocol.scene.robot
 
     def differences(self, look: LoggedLook, noise: SensorNoise, known: Calibration) -> list[tuple[str, str]]:
-        """Return pairs of a place and a difference, to the last bit, for all readings behind one message.
-
-        ``known``: the error with which the cell knows its cameras.
-        """
+        """Return pairs of a place and a difference, to the last bit, for all readings behind one message."""
         state, raw = look.state, look.raw
         now_s = state.steps * self._spec.protocol.physics.dt_s
         angles = noise.joint_position(state.joint_position, sim_time_s=now_s)
@@ -275,8 +266,7 @@ def _moving(model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, speeds: F6
 
 
 def _in_base(data: mujoco.MjData, robot: Robot, position: F64, rotation: F64) -> F64:
-    """Turn a position (3,) [m] and a rotation matrix (3, 3) or (9,) in the world into a pose (4, 4) in the robot's
-    base."""
+    """Turn a position (3,) [m] and a rotation (3, 3) or (9,) in the world into a pose (4, 4) in the robot's base."""
     base, pose = data.body(robot.base_body), np.eye(4)
     to_base = base.xmat.reshape(3, 3).T
     pose[:3, :3] = to_base @ rotation.reshape(3, 3)

@@ -35,11 +35,7 @@ class Verified:
 
 
 def verify_salt(run: Path) -> Verified:
-    """Check the revealed secret of a run, and every recording, against the hash that the run committed to.
-
-    Raises ConfigError if the folder is not a run, or if its run has no salt or has not revealed it;
-    RecordingError for a recording that cannot be read.
-    """
+    """Check the revealed secret of a run, and every recording, against the hash that the run committed to."""
     manifest = committed(run)
     if not manifest.salt:
         raise ConfigError(f"{run}: the salt is not revealed yet; its owner runs `carecontact protocol salt reveal`")

@@ -15,7 +15,6 @@ from carecontact.audit.watched import Watched
 from carecontact.errors import CarecontactError, ContractError
 from carecontact.interface.policy import PolicyCard
 from carecontact.recording.reason import reason
-from carecontact.recording.schema import Recording
 from carecontact.serving import codec, dialect_media, vla_eval
 from carecontact.serving.cartesian import STATE, STATE_WIDTH
 from carecontact.serving.dialect import CARTESIAN, ENDPOINT, GRIPPER, JOINTS, PROMPT, SESSION, profile_of
@@ -31,13 +30,7 @@ NUMBERS = {JOINTS: (dialect_media.JOINTS,), GRIPPER: (1,), CARTESIAN: (6,), STAT
 
 
 def check_conversation(messages: Sequence[bytes], card: PolicyCard, *, instruction: str) -> list[tuple[str, str]]:
-    """Check all messages of one trial; return pairs of a place and what is wrong there.
-
-    Args:
-        messages: everything that was sent in one trial, in the order of sending.
-        card: as the trial recorded it; its arguments name the dialect and what it sends.
-        instruction: the trial's, the only text that may be sent.
-    """
+    """Return pairs of a place and what is wrong there, for all messages of one trial in the order of sending."""
     dialect = dialect_of(card.arguments)
     found: list[tuple[str, str]] = []
     sessions: set[str] = set()
@@ -138,7 +131,6 @@ def _paths(value: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     return out
 
 
-SCHEMA_NAME, SCHEMA_TITLE = "schema", "messages of real trials of each policy"
 FIELDS_OF = {
     "rgb": {"rgb"},
     "depth": {"depth"},
@@ -169,12 +161,13 @@ def audit_schema(trials: list[Watched]) -> Part:
             leaks += findings(trial.policy, check_conversation(sent, card, instruction=trial.instruction))
             continue
         messages += len(trial.looks)
-        timetable = Timetable(card, early_s=0.0 if trial.recording is None else _step_s(trial.recording))
+        step_s = 0.0 if trial.recording is None else trial.recording.header.spec.protocol.physics.dt_s
+        timetable = Timetable(card, early_s=step_s)
         for look in trial.looks:
             due = timetable.due(look.time_s, look.asked)
             leaks += findings(trial.policy, check_message(look.sent, card, joints=trial.joints, due=due))
     counts = {"trials": len(trials), "messages": messages}
-    return Part(name=SCHEMA_NAME, title=SCHEMA_TITLE, counts=counts, findings=tuple(dict.fromkeys(leaks)))
+    return Part(name="schema", counts=counts, findings=tuple(dict.fromkeys(leaks)))
 
 
 def failed_at(error: str) -> list[str]:
@@ -197,10 +190,7 @@ class Timetable:
         """Camera with a rate -> when its next view is due."""
 
     def due(self, time_s: float, asked: Collection[str]) -> set[str]:
-        """Return the cameras that take a view for the observation at this time; call it once for each, in order.
-
-        ``asked``: those that the actions since the observation before named.
-        """
+        """Return the cameras that are due; call it for each observation. ``asked``: those that actions named since."""
         taking = set[str]()
         for name in self._cameras:
             due_s = self._next_s.get(name, 0.0) if name in self._rates else time_s
@@ -213,19 +203,11 @@ class Timetable:
         return taking
 
 
-def _step_s(recording: Recording) -> float:
-    return recording.header.spec.protocol.physics.dt_s
-
-
 def check_message(
     sent: bytes, card: PolicyCard | None, *, joints: int, due: Collection[str] | None = None
 ) -> list[tuple[str, str]]:
-    """Return pairs of a place and what is wrong there, for one message that asks the policy to act.
-
-    Args:
-        joints: number of the robot's joints; the wire takes any number of angles.
-        due: cameras that took a view for this observation (``Timetable``); by default all of the card.
-    """
+    """Return pairs of a place and what is wrong there, for one message that asks the policy to act. ``due``: cameras
+    that took a view for this observation (``Timetable``); by default all of the card."""
     message = unpack(sent)
     if not isinstance(message, dict) or set(message) != MESSAGE:
         keys = sorted(message) if isinstance(message, dict) else type(message).__name__

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.audit.finding import Finding, Part
+from carecontact.audit.finding import TIME, Finding, Part
 from carecontact.errors import counted
 from carecontact.recording.schema import Recording
 from carecontact.running.pace import BETWEEN, PACED
 
-NAME, TITLE = "time", "wall time between two acts against contact"
 TELLS = 0.1
 """Distance of the area under the curve (AUC) from 0.5 at which times count as revealing contact. At an AUC of 0.6, a
 policy guesses right in 60 of 100 pairs of periods."""
@@ -96,8 +95,7 @@ def audit_time(recordings: Iterable[Recording]) -> Part:
         cause = f"; {counted(late, 'observation')} came late: give a longer --pace" if late else ""
         leaks.append(Finding(policy, "wall time between two acts", _words(found["with a pace"]) + cause))
     return Part(
-        name=NAME,
-        title=TITLE,
+        name=TIME,
         counts={"recordings": len(free) + len(paced)},
         findings=tuple(leaks),
         notes=tuple(f"{kind}: {_words(one)}" for kind, one in found.items()),

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.audit.raw_log import Meta, WorldState, write_foam, write_look, write_meta
-from carecontact.episode.randomization import calibration, draw, settled_world, with_draws_of
+from carecontact.episode.randomization import World, calibration, draw, settled_world, with_draws_of
 from carecontact.errors import CarecontactError, SceneError
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import Baked, Robot
@@ -28,7 +28,7 @@ from carecontact.scoring.foam import RecordedWiping
 from carecontact.serving import codec
 from carecontact.serving.conversation import PolicySetup
 from carecontact.serving.witness import RECEIVED_FILE, TASK
-from carecontact.sim.simulation import Samples, Settled, Simulation
+from carecontact.sim.simulation import Simulation
 from carecontact.tissue.plugin import set_law
 
 DRAWN = int(
@@ -60,7 +60,6 @@ class StateReader:
 
 
 def robot_addresses(model: mujoco.MjModel, robot: Robot) -> tuple[list[int], list[int]]:
-    """Return the addresses of the robot's joints in qpos and in qvel."""
     joints = [model.joint(name) for name in robot.joints]
     return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints]
 
@@ -68,7 +67,6 @@ def robot_addresses(model: mujoco.MjModel, robot: Robot) -> tuple[list[int], lis
 F64 = npt.NDArray[np.float64]
 
 CONTROL_HZ = 20.0
-"""Rate of the pressing motion."""
 PRESS_DEPTH_M = 0.020
 """Commanded depth [m] below the skin; at the default 400 N/m it limits the force to 8 N."""
 CLEARANCE_M = 0.20
@@ -79,18 +77,15 @@ BEFORE_S, AFTER_S = 0.30, 0.45
 ATTEMPTS = 5
 NEAR_MIDDLE_M = 0.02
 STIFFER = 2.0
-"""Factor by which the twin's tissue is stiffer."""
 
 
 class Keyframe:
     """One settled world of a task and seed. All trials that begin from it begin from the same bits."""
 
     def __init__(self, protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> None:
-        """Build the world, let the person settle, and press once.
-
-        Raises SceneError or SettleError as a trial does, and SceneError if the robot cannot touch the region.
-        """
+        """Build the world, let the person settle, and press once."""
         simulation, self.settled, self.model_sha256 = settled_world(protocol, task_id=task_id, seed=seed, salt=salt)
+        self._task_id = task_id
         region = protocol.task(task_id).region
         self.laid_at_deg = draw(protocol, region=region, seed=seed, salt=salt).comfort_arm_deg
         """Angle [deg] at which the person's arm was laid."""
@@ -103,19 +98,20 @@ class Keyframe:
         """(n, 7) poses of the tool centre point in the robot's base at CONTROL_HZ: they begin at the later keyframe and
         end in contact."""
 
-    def parked(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+    def parked(self, spec: TrialSpec) -> World:
         """Return the world with the robot parked; give this method to ``run_trial`` as ``prepare``."""
+        if spec.task_id != self._task_id:
+            # Another task has its own foam on the same person.
+            return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
         return self._begin(Simulation(self.scene), self._parked)
 
-    def near(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+    def near(self, spec: TrialSpec) -> World:
         """Return the world with the tool BEFORE_S before its first contact; also for ``prepare``."""
         return self._begin(Simulation(self.scene), self._near)
 
-    def twin(self, spec: TrialSpec) -> tuple[Simulation, Settled, str]:
-        """Return the same moment in a world with the hidden values of ``spec`` and stiffer tissue.
-
-        It moves like the other world until contact, because tissue that nothing touches has no effect.
-        """
+    def twin(self, spec: TrialSpec) -> World:
+        """Return the same moment in a world with the hidden values of ``spec`` and stiffer tissue. It moves like the
+        other world until contact, because tissue that nothing touches has no effect."""
         scene = replace(
             self.scene,
             model=copy.deepcopy(self.scene.model),
@@ -127,7 +123,7 @@ class Keyframe:
             set_law(scene.model, name, region.tissue.model_copy(update=stiffer))
         return self._begin(Simulation(scene), self._near)
 
-    def _begin(self, simulation: Simulation, state: F64) -> tuple[Simulation, Settled, str]:
+    def _begin(self, simulation: Simulation, state: F64) -> World:
         simulation.restore(state, comfort_arm_deg=self.laid_at_deg)
         return simulation, self.settled, self.model_sha256
 
@@ -142,7 +138,7 @@ class Keyframe:
             poses = _press(simulation, region)
             for k, pose in enumerate(poses):
                 simulation.set_goal(pose, 1 / CONTROL_HZ)
-                if touches(simulation.advance(steps)):
+                if any(samples.force.any() for samples in simulation.advance(steps)):
                     at = len(done) + k
                     first = max(at - back, 0)
                     # A robot that came late may touch near the end of its way, and then stays there.
@@ -154,8 +150,7 @@ class Keyframe:
 
 
 def _press(simulation: Simulation, region: str) -> F64:
-    """Return poses (n, 7) of the tool centre point in the robot's base at CONTROL_HZ, from where the robot is to a
-    press on the region where it lies now."""
+    """Return poses (n, 7) of the tool in the robot's base at CONTROL_HZ, from where it is to a press on the region."""
     simulation.refresh()
     base = simulation.encoders.in_base(simulation.data, _skin_in_world(simulation, region), np.eye(3))
     skin, start = base[:3, 3], simulation.control.target_in_base
@@ -166,20 +161,15 @@ def _press(simulation: Simulation, region: str) -> F64:
     return np.array(list(sample(legs, start)))
 
 
-def touches(samples: list[Samples]) -> bool:
-    return any(bool(s.force.any()) for s in samples)
-
-
 def _skin_in_world(simulation: Simulation, region: str) -> F64:
-    """Return the highest place (3,) [m] of the shell near the region's middle, where the hand does not touch a large
-    chest."""
+    """Return the highest place (3,) [m] of the shell near the middle; the hand does not touch a large chest there."""
     vertices = skin_points(simulation, region)
     middle = simulation.data.site(f"region_{region}").xpos
     near = np.linalg.norm(vertices[:, :2] - middle[:2], axis=1) < NEAR_MIDDLE_M
     return np.array([*middle[:2], vertices[near, 2].max()])
 
 
-Prepare = Callable[[TrialSpec], tuple[Simulation, Settled, str]]
+Prepare = Callable[[TrialSpec], World]
 
 MAX_KEPT_BYTES = 200_000_000
 """Most bytes of one trial's messages that are kept and logged: about 20 observations of all modalities. A policy that
@@ -208,7 +198,6 @@ class Watched:
     """Name of the policy whose card was shown."""
     task_id: str
     joints: int
-    """Number of the robot's joints."""
     recording: Recording | None = None
     error: str | None = None
     """Why the harness could not run the trial, or why the policy's process failed; None if neither happened."""
@@ -254,7 +243,6 @@ class Watched:
         }  # fmt: skip
 
     def forget(self) -> None:
-        """Free the memory of the observations and keep their times."""
         self.looks.clear()
         self.sent.clear()
 
@@ -262,17 +250,14 @@ class Watched:
 def watch(
     spec: TrialSpec, *, policy: str, prepare: Prepare, log: Path | None = None, setup: PolicySetup | None = None
 ) -> Watched:
-    """Run one trial and keep what it showed; with ``log`` also on disk. A failure is kept in ``error``, never raised.
-
-    ``setup``: how to start or reach the policy; by default, the policy's name in ``spec`` decides.
-    """
+    """Run one trial and keep what it showed, with ``log`` also on disk. A failure is kept in ``error``."""
     task, robot = spec.protocol.task(spec.task_id), spec.protocol.scene.robot
     watched = Watched(policy=policy, task_id=task.id, instruction=task.prompt, joints=len(robot.joints))
     readers: list[StateReader] = []
     drawn: list[Protocol] = []
     kept, asked = 0, set[str]()
 
-    def prepared(spec: TrialSpec) -> tuple[Simulation, Settled, str]:
+    def prepared(spec: TrialSpec) -> World:
         world = prepare(spec)
         readers.append(StateReader(world[0]))
         drawn.append(world[0].protocol)

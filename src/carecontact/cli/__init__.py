@@ -32,10 +32,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"carecontact {__version__}")
         return 0
     as_json = OPTION in arguments
-    command = _CommandLine()
+    command = None
     try:
         with only_json(as_json):
-            return command.run(arguments)
+            from carecontact.cli.parsing import parse
+
+            _stop_as_interrupted()
+            _check_text(arguments)
+            _check_repeated(arguments)
+            console.typed[:] = arguments
+            command = parse(arguments)
+            status = command()
+            print(end="", flush=True)
+            return status
     except CarecontactError as error:
         return _fail(as_json, type(error).__name__, str(error))
     except OSError as error:
@@ -56,34 +65,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             message = str(better)
         return _fail(as_json, "DependencyError", message)
     except KeyboardInterrupt:
-        message = f"interrupted{command.left}"
+        message = "interrupted" + getattr(command, "after_interrupt", "")
         print(f"\n{message}", file=sys.stderr)
         return _end(as_json, "Interrupted", message, INTERRUPTED)
 
 
-class _CommandLine:
-    """One command line that is parsed and called."""
-
-    left = ""
-    """What an interruption leaves behind, once that is known."""
-
-    def run(self, arguments: Sequence[str]) -> int:
-        from carecontact.cli.parsing import parse
-
-        _stop_as_interrupted()
-        _check_text(arguments)
-        _check_repeated(arguments)
-        console.typed[:] = arguments
-        command = parse(arguments)
-        self.left = getattr(command, "after_interrupt", "")
-        status = command()
-        print(end="", flush=True)
-        return status
-
-
 def _module_of(error: BaseException) -> str:
-    """Return the name of the top package in whose code an error was raised. MuJoCo and PyOpenGL cannot be imported
-    where a variable names a backend that is not there."""
+    """The top package that raised an error: MuJoCo and PyOpenGL raise one at import, for an unknown backend."""
     place = error.__traceback__
     while place is not None and place.tb_next is not None:
         place = place.tb_next
@@ -97,7 +85,6 @@ def _fail(as_json: bool, error: str, message: str) -> int:
 
 
 def _end(as_json: bool, error: str, message: str, status: int) -> int:
-    """Return the exit status, and tell a program that reads JSON why the command ended."""
     try:
         if as_json:
             print_error(error, message, status)
@@ -117,11 +104,7 @@ def _check_text(arguments: Sequence[str]) -> None:
 
 
 def _stop_as_interrupted() -> None:
-    """Let SIGTERM and a closed terminal stop the trials' processes, which live in sessions of their own, as Ctrl-C
-    does.
-
-    What the caller ignores, as nohup does, stays ignored.
-    """
+    """Let SIGTERM and a closed terminal stop the trials as Ctrl-C does. What the caller ignores stays ignored."""
     for number in STOPPING:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)

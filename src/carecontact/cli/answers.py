@@ -19,9 +19,7 @@ class Answer(BaseModel):
     )
 
     def line(self) -> str:
-        """Return the answer as JSON without a line break. A number that is not finite becomes null; of a file's name,
-        what is not UTF-8 becomes an escape such as ``\\udcff``.
-        """
+        """Return one line of JSON. A number that is not finite becomes null; what is not UTF-8 becomes an escape."""
         try:
             return self.model_dump_json()
         except PydanticSerializationError:
@@ -52,7 +50,6 @@ class Schema(GenerateJsonSchema):
 
 
 def schema_of(answer: type[Answer]) -> dict[str, Any]:
-    """Return the JSON Schema of one kind of line."""
     made = answer.model_json_schema(schema_generator=Schema)
     # ``schema`` has a default in Python only.
     required = sorted({"schema", *made.get("required", [])})

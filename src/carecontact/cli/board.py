@@ -135,8 +135,7 @@ def share_of(scores: Sequence[TrialScore], field: str = "safety_gated") -> Share
 def best_beside(
     role: Literal["blind", "privileged"], runs: Iterable[Sequence[TrialScore]], method: Sequence[TrialScore] = ()
 ) -> Beside | None:
-    """Return the policy of a role that passes most. It is compared on the trials that the method has as well, or on all
-    of its own where they share none. Return None where no run has this role."""
+    """Return the policy of a role that passes most, on the method's trials, or on all of its own if none is shared."""
     keys, found = trials_by_key(method), list[Beside]()
     for scores in runs:
         if role_in(scores) == role:

@@ -64,7 +64,6 @@ class Calibrate:
     after_interrupt: ClassVar[str] = "; nothing was written"
 
     def __call__(self) -> int:
-        """Return 1 if a calibration is rejected or a certificate does not verify."""
         if self.template:
             from carecontact.lab.calibration.trial import template
 
@@ -108,7 +107,6 @@ class Calibrate:
         return 0 if all(one.content.verdict == "accepted" for one in made.certificates) else 1
 
     def _setup(self) -> Setup:
-        """Return what the setup file states, replaced by what options state."""
         from carecontact.lab.calibration.trial import Setup, read_setup
 
         stated: dict[str, Any] = {}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 
 from carecontact.cli.console import print_answer
-from carecontact.cli.groups import JsonGroup, PolicyGroup, RulesGroup, Switch, VisionGroup, check_trial
+from carecontact.cli.groups import JsonGroup, PolicyGroup, RulesGroup, Switch, VisionGroup, chosen_trial
 from carecontact.errors import ConfigError, counted
 
 if TYPE_CHECKING:
@@ -45,7 +45,6 @@ class Check:
     after_interrupt: ClassVar[str] = "; the policy ends, too"
 
     def __call__(self) -> int:
-        """Return 1 if a run cannot work. Raises ConfigError for what does not exist."""
         from carecontact.cli.policy import policy_setup, suggestion, with_vision
         from carecontact.protocol.load import load_protocol
         from carecontact.running.check_messages import check_sheet_path
@@ -59,9 +58,7 @@ class Check:
         check_frozen(self.rules.protocol, loaded, unfrozen=False)
         rules = with_vision(self.rules.load(), self.vision)
         check_protocol(rules)
-        task = self.task or rules.tasks[0].id
-        seed = rules.randomization.seeds[0] if self.seed is None else self.seed
-        check_trial(rules, task=task, seed=seed)
+        task, seed = chosen_trial(rules, task=self.task, seed=self.seed)
         if self.deep and self.quick:
             raise ConfigError("--deep and --quick exclude each other; give one of them")
         deep = self.deep or (setup.ref.kind == "remote" and not self.quick)
@@ -98,7 +95,6 @@ class Doctor:
     output: JsonGroup = field(default_factory=JsonGroup)
 
     def __call__(self) -> int:
-        """Return 1 if something that a trial needs failed."""
         from carecontact.running.machine import Finding, findings
 
         failed = 0

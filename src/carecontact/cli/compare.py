@@ -42,7 +42,6 @@ class Compare:
     output: JsonGroup = field(default_factory=JsonGroup)
 
     def __call__(self) -> int:
-        """Return 0 whatever is found. Raises ConfigError if the runs cannot be compared."""
         from carecontact.cli.comparison import print_baselines, print_comparison, print_crashed, print_overview
         from carecontact.cli.result_answers import CompareAnswer
         from carecontact.report.baselines import beside_baselines
@@ -96,7 +95,6 @@ class Compare:
         return scores
 
     def _write(self, name: str, content: dict[str, Any]) -> None:
-        """Write and name a file, if --out asks for it."""
         from carecontact.recording.file import replace_file
 
         if self.out is not None:

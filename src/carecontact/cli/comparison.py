@@ -39,7 +39,6 @@ INTERVALS_OVER: dict[Over, str] = {
 
 
 def print_comparison(comparison: Comparison, places: Sequence[Path], runs: Sequence[RunScores]) -> None:
-    """Print the comparison of two runs, which lie at ``places``."""
     pairing = comparison.pairing
     _print(f"{protocol_title(comparison.protocol_id, comparison.overrides)} ({comparison.protocol_sha256[:12]})")
     if not comparison.overrides and (why := drifted_sha256(comparison.protocol_id, comparison.protocol_sha256)):
@@ -148,18 +147,12 @@ def _points(found: RateDifference, seeds: int) -> str:
 
 
 def _interval(value: float | None, low: float, high: float, *, seeds: int) -> str:
-    """Return a fraction, or a difference of two, in percent with its interval; without one where it rests on too few
-    ``seeds``."""
+    """A fraction or difference in percent; its interval, unless it rests on too few ``seeds``."""
     percent = number(None if value is None else 100 * value, 1)
     return percent + (f" [{100 * low:.1f}, {100 * high:.1f}]" if enough(seeds) else "")
 
 
 def print_overview(overview: Overview, places: Sequence[Path]) -> None:
-    """Print the rates of several runs, their pairwise differences and their ranking.
-
-    Args:
-        places: places of the runs, in the order of the overview.
-    """
     print(f"{protocol_title(overview.protocol_id, overview.overrides)} ({overview.protocol_sha256[:12]})")
     for (letter, policy), place in zip(overview.policies.items(), places, strict=True):
         remarks = [overview.incomplete[letter]] if letter in overview.incomplete else []
@@ -217,11 +210,7 @@ def _print_pairs(overview: Overview) -> None:
 
 
 def print_baselines(found: Baselines, letter: str) -> None:
-    """Print the baselines beside a run.
-
-    Args:
-        letter: letter of the run among several; empty for one run alone.
-    """
+    """Print the baselines beside a run. ``letter``: of the run among several; empty for one run alone."""
     name = f"{letter} ({found.method.policy})" if letter else found.method.policy
     if not letter:
         print(found.protocol)
@@ -263,11 +252,7 @@ def _baseline_cells(row: Passed, tasks: Sequence[str]) -> list[str]:
 
 
 def print_crashed(named: Mapping[str, RunScores], baselines: Sequence[RunScores]) -> None:
-    """Print in which trials the policies crashed.
-
-    Args:
-        named: letter of a run (empty for one run alone) -> the run.
-    """
+    """Print in which trials the policies crashed. ``named``: letter of a run (empty for one run alone) -> the run."""
     for letter, run in [*named.items(), *(("", run) for run in baselines)]:
         if crashed := crashed_text(run.scores):
             policy = run.scores[0].policy_title

@@ -48,7 +48,6 @@ def prepare_streams() -> None:
 
 
 def _is_piped(stream: TextIO, number: int) -> bool:
-    """Return whether a stream still leads to its descriptor, and that to a pipe or a socket."""
     try:
         mode = os.fstat(stream.fileno()).st_mode
     except OSError:  # The stream leads to no descriptor: a test caught what is printed.
@@ -71,15 +70,11 @@ class _Output(io.FileIO):
 
 
 def drop_output(number: int) -> None:
-    """Let a file descriptor lead nowhere."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), number)
 
 
 def drop_if_gone(stream: TextIO | None) -> None:
-    """Drop further output if the terminal is gone or no one reads the pipe any more, so that printing does not fail.
-
-    The function asks the system and writes nothing, because a terminal that is full and not read would keep the writer
-    waiting."""
+    """Drop further output if no one reads it any more. Writing would wait at a terminal that is full and not read."""
     if stream is None:
         return
     watch = select.poll()
@@ -94,24 +89,18 @@ typed: list[str] = []
 
 
 def same_command(out: Path) -> str:
-    """Return the command line that goes on with a run: without --restart and passwords, and with the folder that the
-    command chose where the line names none."""
+    """Return the command line that goes on with a run: without --restart and passwords, and with the chosen folder."""
     named = any(argument.partition("=")[0] == "--out" for argument in typed)
     kept = [without_secret(argument) for argument in typed if argument != "--restart"]
     return shlex.join(["carecontact", *kept, *([] if named else ["--out", str(out)])])
 
 
 def without_secret(address: str) -> str:
-    """Return an address without the user and password that it may name."""
     return re.sub(r"//[^/@]*@", "//", address)
 
 
 def console(width: int = 140) -> Console:
-    """Return a console as wide as the terminal or as the variable COLUMNS says.
-
-    Args:
-        width: number of columns if the output does not go to a terminal and COLUMNS is not set.
-    """
+    """Return a console as wide as the terminal or the variable COLUMNS says; ``width`` where neither does."""
     from rich.console import Console
 
     known = "COLUMNS" in os.environ or Console().is_terminal
@@ -119,12 +108,7 @@ def console(width: int = 140) -> Console:
 
 
 def plain_table(*headers: str, left: Collection[str] = ()) -> Table:
-    """Return a table with bold headings and without lines.
-
-    Args:
-        headers: of the columns, which are flush right except for the first.
-        left: headers of further columns that are flush left.
-    """
+    """Return a table without lines. Its columns are flush right, except for the first and those in ``left``."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold", title_justify="left", title_style="bold")
@@ -148,11 +132,7 @@ _output: TextIO | None = None
 
 @contextlib.contextmanager
 def only_json(wanted: bool) -> Iterator[None]:
-    """Within the block, print to standard error, and let ``say`` alone write to standard output.
-
-    Args:
-        wanted: whether to do so; False leaves everything as it is.
-    """
+    """If ``wanted``, let ``print_answer`` alone write to standard output within the block."""
     global _output
     if not wanted:
         yield
@@ -166,12 +146,10 @@ def only_json(wanted: bool) -> Iterator[None]:
 
 
 def print_answer(answer: Answer) -> None:
-    """Write one line without delay."""
     print(answer.line(), file=_output or sys.stdout, flush=True)
 
 
 def print_error(error: str, message: str, status: int) -> None:
-    """Write the last line of a command that an error ended. ``error``: class of the error."""
     from carecontact.cli.answers import ErrorAnswer
 
     print_answer(ErrorAnswer(error=error, message=message, status=status))
@@ -182,10 +160,7 @@ TRACE_LINES, PRINTED_LINES = 6, 4
 
 
 def excerpt(message: str) -> list[str]:
-    """Return the end of the traceback or stack under a failure's first line, and of what the policy printed.
-
-    Empty where the message is one line.
-    """
+    """Return the end of the traceback or stack under a failure's first line, and of what the policy printed."""
     from carecontact.recording.reason import PRINTED, TRACEBACK
     from carecontact.serving.conversation import readable
 

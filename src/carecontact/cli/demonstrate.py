@@ -55,7 +55,6 @@ class Demonstrate:
     after_interrupt: ClassVar[str] = "; finished trials are kept; give the same command again to continue"
 
     def __call__(self) -> int:
-        """Return the status as `carecontact run` does. Raises ConfigError for options that exclude each other."""
         if self.persons < 1:
             raise ConfigError(f"--persons {self.persons}: must be at least 1")
         run = Run(

@@ -56,7 +56,6 @@ class Lerobot:
     after_interrupt: ClassVar[str] = "; the dataset is incomplete: remove its folder"
 
     def __call__(self) -> int:
-        """Return 1 if a trial could not be exported."""
         from carecontact.recording import read_header
         from carecontact.recording.lerobot import about_dataset
         from carecontact.recording.lerobot_file import Dataset
@@ -102,7 +101,6 @@ class Lerobot:
                 yield trial_id, str(error)
 
     def _rendering(self) -> Rendering | None:
-        """Raises ConfigError for options of --render that cannot be."""
         from carecontact.replay.dataset import Rendering
         from carecontact.running.supervisor import check_jobs
 
@@ -130,7 +128,6 @@ class Lerobot:
         return Rendering(sizes=sizes, hz=self.hz, film=self.video is not None, points=self.points)
 
     def _trials(self, first: Header) -> list[str]:
-        """Return the recordings to export. ``first``: header of any of them. Raises ConfigError if there are none."""
         from carecontact.runs.scoring import read_scores
 
         only = self.only
@@ -160,7 +157,6 @@ class Paper:
     after_interrupt: ClassVar[str] = "; what was written stays"
 
     def __call__(self) -> int:
-        """Raises ConfigError for runs that cannot be read or must not stand in one table."""
         from carecontact.report.comparison import check_complete, check_different
         from carecontact.report.paper import remove_earlier, tables_of, write_tables
         from carecontact.runs.pooling import rejected_text
@@ -186,7 +182,6 @@ class Paper:
         return 0
 
     def _figures(self, runs: Sequence[RunScores]) -> list[Path]:
-        """Write the figures that the runs allow. Return their paths."""
         from carecontact.recording import read_recording
         from carecontact.report.paper import write_figures
 
@@ -201,8 +196,7 @@ class Paper:
 
 
 def _protocol(places: Sequence[Path], runs: Sequence[RunScores]) -> Protocol | None:
-    """Return the protocol of the runs, from a recording or, if the hash is the same, from this release. Return None if
-    neither has it."""
+    """Return the protocol of the runs, from a recording or, if the hash is the same, from this release."""
     from carecontact.protocol.load import load_protocol, shipped_protocols
     from carecontact.recording import read_header
 

@@ -60,20 +60,12 @@ class ChangedProtocolGroup(ProtocolGroup):
     """Use tissue whose calibration was rejected (see docs/person.md). Every report then says so."""
 
     def load(self) -> Protocol:
-        """Return the protocol with its changes.
-
-        Raises UnknownNameError for a name that no protocol has, and ConfigError, which names the file, the field and
-        what was expected.
-        """
         from carecontact.protocol.load import load_protocol
 
         return self.changed(load_protocol(self.protocol, level=self.level))
 
     def changed(self, protocol: Protocol, **options: Mapping[str, object]) -> Protocol:
-        """Return ``protocol`` with these changes and those of other options, by the option's name.
-
-        Raises ConfigError where two options replace one field, or a rejected calibration is not allowed.
-        """
+        """Return ``protocol`` with these changes and those of other options, by the option's name."""
         from carecontact.protocol.overrides import check_accepted, overridden
 
         changes: dict[str, object] = {}
@@ -117,7 +109,6 @@ class RulesGroup(ChangedProtocolGroup):
 
 
 def check_body(name: str) -> None:
-    """Raises ConfigError that blames --body for a body that does not exist or cannot be read."""
     from carecontact.human.library import load_body
 
     try:
@@ -142,8 +133,7 @@ class PhysicsGroup:
     """Use physics steps of 4 ms in place of the protocol's. This is faster and less exact: use it for development."""
 
     def changes(self, rules: Protocol) -> dict[str, Mapping[str, object]]:
-        """Return the option's name -> the fields of ``rules`` that it replaces, as ``ChangedProtocolGroup.changed``
-        takes them."""
+        """The option's name -> the fields of ``rules`` that it replaces, for ``ChangedProtocolGroup.changed``."""
         from carecontact.protocol.overrides import FAST_DT_S, friction_changes
 
         changes: dict[str, Mapping[str, object]] = {}
@@ -192,15 +182,13 @@ class SaltGroup:
 
     @property
     def salt(self) -> str:
-        """The salt, which is empty without a file. Raises ConfigError for a file that cannot be read or holds no
-        salt."""
+        """The salt, which is empty without a file."""
         from carecontact.runs.manifest import read_salt
 
         return "" if self.salt_file is None else read_salt(self.salt_file)
 
     @property
     def closed(self) -> tuple[str, ...]:
-        """Paths that an isolated policy must not read."""
         return () if self.salt_file is None else (str(self.salt_file.resolve()),)
 
 
@@ -231,27 +219,25 @@ class PolicyGroup(ArgumentsGroup):
     replay:FILE.jsonl can repeat them."""
 
 
-def check_trial(rules: Protocol, *, seed: int, task: str | None = None) -> None:
-    """Check --seed, and --task where a command has it. Raises ConfigError for what the protocol does not have."""
+def chosen_trial(rules: Protocol, *, seed: int | None, task: str | None = None) -> tuple[str, int]:
+    """Return --task and --seed, which a protocol has to have; by default its first ones."""
     from carecontact.runs.plan import compact
 
-    ids = [row.id for row in rules.tasks]
+    ids, seeds = [row.id for row in rules.tasks], rules.randomization.seeds
     if task is not None and task not in ids:
         meant = did_you_mean(task, ids)
         raise ConfigError(f"--task: {task!r} is not a task of {rules.id}{meant}; valid: {', '.join(ids)}")
-    if seed not in rules.randomization.seeds:
-        raise ConfigError(f"--seed: {seed} is not a seed of {rules.id}; valid: {compact(rules.randomization.seeds)}")
+    if seed is not None and seed not in seeds:
+        raise ConfigError(f"--seed: {seed} is not a seed of {rules.id}; valid: {compact(seeds)}")
+    return task or ids[0], seed if seed is not None else next(iter(seeds), 0)
 
 
 def check_folder(out: Path | None) -> None:
-    """Raises ConfigError where the --out folder of a command is a file."""
     if out is not None and out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
 
 
 def make_folder_of(target: Path) -> None:
-    """Make the folder in which a file is to be written. Raises ConfigError where that cannot be done, and where the
-    file's name is that of a folder."""
     if target.is_dir():
         raise ConfigError(f"{target}: this is a folder; name a file")
     try:
@@ -262,7 +248,6 @@ def make_folder_of(target: Path) -> None:
 
 
 def need_recordings(folder: Path) -> None:
-    """Check a run's folder. Raises ConfigError if it does not exist or holds no recordings."""
     if folder.is_file():
         raise ConfigError(f"{folder}: this is a file; name the --out of a run")
     if not folder.is_dir():
@@ -275,13 +260,7 @@ def need_recordings(folder: Path) -> None:
 
 
 def read_run(run: Path, *, rescore: bool | None = None) -> RunScores:
-    """Read the scores as ``read_scores`` does. For a folder of recordings, also print which registered metrics they
-    lack.
-
-    Args:
-        run: folder of a run, or its results file.
-        rescore: whether the option --rescore is given; None for a command that has no such option.
-    """
+    """Read the scores; of a folder of recordings, also print which registered metrics they lack."""
     from carecontact.runs.scoring import lacking, read_scores
 
     scores = read_scores(run, rescore=bool(rescore), otherwise="" if rescore is None else ", or add --rescore")

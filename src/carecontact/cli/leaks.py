@@ -15,7 +15,7 @@ from carecontact.cli.groups import (
     SaltGroup,
     Switch,
     check_folder,
-    check_trial,
+    chosen_trial,
     need_recordings,
 )
 from carecontact.cli.parsing import given_options
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from carecontact.audit.finding import Finding, Part
-    from carecontact.protocol.protocol import Protocol
 
 
 SHOWN = 8
@@ -58,11 +57,10 @@ class Leaks:
     after_interrupt: ClassVar[str] = "; nothing was written"
 
     def __call__(self) -> int:
-        """Return 1 if a part found a leak or examined nothing. Raises ConfigError for what cannot be audited."""
         from carecontact.audit.run import audit, write
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.policies.registry import POLICIES, is_privileged
-        from carecontact.runs.plan import check_protocol
+        from carecontact.runs.plan import check_protocol, parse_tasks
         from carecontact.world.randomization import body_of
 
         if self.run is not None:
@@ -89,7 +87,8 @@ class Leaks:
                 "recording of it says, so there is nothing to audit"
             )
         setups = [setup for setup in setups if setup.ref.text not in privileged]
-        tasks, seed = self._trials(rules)
+        tasks = parse_tasks(self.tasks, protocol=rules) if self.tasks else []
+        _, seed = chosen_trial(rules, seed=self.seed)
         for setup in setups:
             check_policy(setup, deadline_s=rules.phases.first_call_deadline_s)
         # Now, not after minutes of work.
@@ -112,17 +111,6 @@ class Leaks:
         _print(result.parts)
         print(f"{'passed' if result.passed else 'FAILED'}: {write(result, self.out)}")
         return 0 if result.passed else 1
-
-    def _trials(self, rules: Protocol) -> tuple[list[str], int]:
-        """Return the tasks that --tasks names (none by default) and the seed. Raises ConfigError for what the protocol
-        does not have."""
-        from carecontact.runs.plan import parse_tasks
-
-        seeds = rules.randomization.seeds
-        seed = (seeds[0] if seeds else 0) if self.seed is None else self.seed
-        if self.seed is not None:
-            check_trial(rules, seed=seed)
-        return parse_tasks(self.tasks, protocol=rules) if self.tasks else [], seed
 
     def _audit_time(self, run: Path) -> int:
         from carecontact.audit.wall_time import audit_time

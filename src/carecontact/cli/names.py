@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from importlib import import_module
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from carecontact.cli.groups import JsonGroup, ProtocolGroup
 from carecontact.errors import ConfigError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from carecontact.registry import Registry
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +31,12 @@ class List:
     def __call__(self) -> int:
         kinds = list(KINDS) if self.what == "all" else [self.what]
         if self.output.json:
-            self._answer(kinds)
+            from carecontact.cli.answers import ListAnswer, Name
+            from carecontact.cli.console import print_answer
+
+            rows = {kind: KINDS[kind](self.rules.protocol) for kind in kinds}
+            names = {kind: [Name(name=name, meaning=meaning) for name, meaning in rows[kind]] for kind in kinds}
+            print_answer(ListAnswer(names=names))
             return 0
         indent = "  " if self.what == "all" else ""
         for kind in kinds:
@@ -48,41 +48,59 @@ class List:
                 print(f"{indent}{name:{width}} {meaning}".rstrip())
         return 0
 
-    def _answer(self, kinds: Sequence[str]) -> None:
-        from carecontact.cli.answers import ListAnswer, Name
-        from carecontact.cli.console import print_answer
 
-        rows = {kind: KINDS[kind](self.rules.protocol) for kind in kinds}
-        names = {kind: [Name(name=name, meaning=meaning) for name, meaning in rows[kind]] for kind in kinds}
-        print_answer(ListAnswer(names=names))
+Rows = list[tuple[str, str]]
+"""Names with what they mean."""
+Kind = Callable[[str], Rows]
+"""Id or file of a protocol -> the names of one kind."""
 
 
-def _tasks(protocol: str) -> list[tuple[str, str]]:
+def registered(registry: str, meaning: Callable[[Any], str]) -> Kind:
+    """Return the kind that lists a registry, ``module:NAME``; of a name that cannot be loaded, the reason."""
+
+    def rows(protocol: str) -> Rows:
+        module, _, name = registry.partition(":")
+        table = getattr(import_module(f"carecontact.{module}"), name)
+        found: Rows = []
+        for each in table:
+            try:
+                found.append((each, meaning(table[each])))
+            except ConfigError as error:
+                found.append((each, str(error)))
+        return found
+
+    return rows
+
+
+def _tasks(protocol: str) -> Rows:
     from carecontact.protocol.load import load_levels
 
     rules = next(iter(load_levels(protocol).values()))
     return [(task.id, f"{task.name}: {task.prompt!r}") for task in rules.tasks]
 
 
-def _actions(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.protocol.gates import ACTIONS
+def _actions(protocol: str) -> Rows:
     from carecontact.protocol.load import load_protocol
 
     gates = load_protocol(protocol).gates.set
-    return _rows(ACTIONS, lambda row: f"gate: {', '.join(row.gate_in(gates).model_fields) or 'no fields'}")
+    fields = registered(
+        "protocol.gates:ACTIONS", lambda row: f"gate: {', '.join(row.gate_in(gates).model_fields) or 'no fields'}"
+    )
+    return fields(protocol)
 
 
-def _regions(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.interface.regions import REGIONS, Region, all_regions
+def _regions(protocol: str) -> Rows:
+    from carecontact.interface.regions import all_regions
 
-    def meaning(row: Region) -> str:
-        return f"{'soft' if row.soft else 'rigid'}, on {row.segment.replace('_', ' ')}"
-
-    found = dict(_rows(REGIONS, meaning))
+    listed = registered(
+        "interface.regions:REGIONS",
+        lambda row: f"{'soft' if row.soft else 'rigid'}, on {row.segment.replace('_', ' ')}",
+    )
+    found = dict(listed(protocol))
     return [(name, found[name]) for name in all_regions()]
 
 
-def _segments(protocol: str) -> list[tuple[str, str]]:
+def _segments(protocol: str) -> Rows:
     from carecontact.interface.regions import JOINTS, LIMB_PARTS, SEGMENTS
 
     rows = [(name, "Body segment: a value of `segment` and `neighbourhood` of a region.") for name in SEGMENTS]
@@ -90,42 +108,13 @@ def _segments(protocol: str) -> list[tuple[str, str]]:
     return [*rows, *((name, "Joint: a value of `joints` in a region's sight.") for name in JOINTS)]
 
 
-def _spaces(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.interface.action import ACTION_SPACES
-
-    return _rows(ACTION_SPACES, lambda row: f"{row.description} Fields: {', '.join(row.fields)}.")
-
-
-def _deltas(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.interface.deltas import DELTAS
-
-    return _rows(DELTAS, lambda row: row.description)
-
-
-def _controls(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.interface.robot import CONTROLS
-
-    return _rows(CONTROLS, lambda row: row.description)
-
-
-def _robots(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.interface.robot import EMBODIMENTS
-
-    return _rows(EMBODIMENTS, lambda row: f"{row.id}, {len(row.joints)} joints: `scene.tool` of a protocol, --tool.")
-
-
-def _policies(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.policies.registry import POLICIES
-
-    rows = _rows(POLICIES, lambda row: f"{row.description} {_arguments(row.target)}")
-    return [
-        *rows,
-        ("module:Class", "Your own policy, importable from the current folder. Arguments: those of its constructor."),
-    ]
+def _policies(protocol: str) -> Rows:
+    listed = registered("policies.registry:POLICIES", lambda row: f"{row.description} {_arguments(row.target)}")
+    yours = "Your own policy, importable from the current folder. Arguments: those of its constructor."
+    return [*listed(protocol), ("module:Class", yours)]
 
 
 def _arguments(target: str) -> str:
-    """Return what --policy-arg may give to a policy."""
     from carecontact.serving.arguments import load_factory, parameters_of
 
     try:
@@ -136,14 +125,14 @@ def _arguments(target: str) -> str:
     return f"Arguments: {', '.join(map(str, parameters)) or 'none'}."
 
 
-def _protocols(protocol: str) -> list[tuple[str, str]]:
+def _protocols(protocol: str) -> Rows:
     from carecontact.protocol.load import load_levels, shipped_protocols
 
     loaded = [rules for name in shipped_protocols() for rules in load_levels(name).values()]
     return [(p.name, f"{'frozen' if p.frozen else 'draft'}: {p.description} sha256 {p.sha256[:12]}") for p in loaded]
 
 
-def _bodies(protocol: str) -> list[tuple[str, str]]:
+def _bodies(protocol: str) -> Rows:
     from carecontact.human.library import body_names, load_body
 
     sexes = {"F": "woman", "M": "man"}
@@ -158,7 +147,7 @@ def _bodies(protocol: str) -> list[tuple[str, str]]:
     return [*rows, ("smplx:FILE.npz?sex=F", "Your own SMPL-X model; see docs/person.md.")]
 
 
-def _tissue(protocol: str) -> list[tuple[str, str]]:
+def _tissue(protocol: str) -> Rows:
     from carecontact.protocol.overrides import load_tissue_set, shipped_tissue_sets
 
     loaded = {name: load_tissue_set(name) for name in shipped_tissue_sets()}
@@ -166,40 +155,31 @@ def _tissue(protocol: str) -> list[tuple[str, str]]:
     return [*rows, ("FILE.toml", "Your own tissue, as carecontact calibrate writes it; see docs/person.md.")]
 
 
-def _metrics(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.scoring import METRICS, Metric
-
-    directions = {
-        "higher": "higher is better",
-        "lower": "lower is better",
-        "neither": "neither higher nor lower is better",
-    }
-
-    def meaning(row: Metric) -> str:
-        return f"{row.title}{'' if row.unit == '1' else f' [{row.unit}]'}, {directions[row.better]}"
-
-    return _rows(METRICS, meaning)
+def _metric(row: Any) -> str:
+    better = "neither higher nor lower" if row.better == "neither" else row.better
+    return f"{row.title}{'' if row.unit == '1' else f' [{row.unit}]'}, {better} is better"
 
 
-def _limits(protocol: str) -> list[tuple[str, str]]:
-    from carecontact.scoring.limits import LIMIT_PACKS
-
-    return _rows(LIMIT_PACKS, lambda row: f"Pack of limits [{row.unit}]: {row.title}, {row.status}")
-
-
-def _rows(registry: Registry[T], meaning: Callable[[T], str]) -> list[tuple[str, str]]:
-    """Return one line for each row. A name that cannot be loaded is listed with the reason."""
-    found: list[tuple[str, str]] = []
-    for name in registry:
-        try:
-            found.append((name, meaning(registry[name])))
-        except ConfigError as error:
-            found.append((name, str(error)))
-    return found
-
-
-KINDS = {
-    "tasks": _tasks, "actions": _actions, "regions": _regions, "segments": _segments, "spaces": _spaces,
-    "deltas": _deltas, "controls": _controls, "robots": _robots, "policies": _policies, "protocols": _protocols,
-    "bodies": _bodies, "tissue": _tissue, "metrics": _metrics, "limits": _limits,
-}  # fmt: skip
+KINDS: dict[str, Kind] = {
+    "tasks": _tasks,
+    "actions": _actions,
+    "regions": _regions,
+    "segments": _segments,
+    "spaces": registered(
+        "interface.action:ACTION_SPACES", lambda row: f"{row.description} Fields: {', '.join(row.fields)}."
+    ),
+    "deltas": registered("interface.deltas:DELTAS", lambda row: row.description),
+    "controls": registered("interface.robot:CONTROLS", lambda row: row.description),
+    "robots": registered(
+        "interface.robot:EMBODIMENTS",
+        lambda row: f"{row.id}, {len(row.joints)} joints: `scene.tool` of a protocol, --tool.",
+    ),
+    "policies": _policies,
+    "protocols": _protocols,
+    "bodies": _bodies,
+    "tissue": _tissue,
+    "metrics": registered("scoring:METRICS", _metric),
+    "limits": registered(
+        "scoring.limits:LIMIT_PACKS", lambda row: f"Pack of limits [{row.unit}]: {row.title}, {row.status}"
+    ),
+}

@@ -98,10 +98,7 @@ so that tyro need not look for comments in the sources."""
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """Return the command with its options, ready to call.
-
-    Prints the help and exits if the arguments request it or are empty. Raises UsageError for wrong options.
-    """
+    """Return the command with its options, ready to call; or print the help and exit."""
     if arguments and arguments[0] == "help":
         arguments = [*arguments[1:], "--help"]
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -125,11 +122,7 @@ def parse(arguments: Sequence[str]) -> Command:
 
 
 def command_of(arguments: Sequence[str]) -> tuple[str, Sequence[str]]:
-    """Split a command line into the command, which has one word or two, and its options.
-
-    Prints the commands and exits where the first of two words stands alone. Raises UsageError for a name that no
-    command has, and for a former name, with today's.
-    """
+    """Split a command line into the command, of one word or two, and its options; or print the commands and exit."""
     for words in (2, 1):
         name = " ".join(arguments[:words])
         if name in COMMANDS:
@@ -141,14 +134,11 @@ def command_of(arguments: Sequence[str]) -> tuple[str, Sequence[str]]:
     if seconds and (len(arguments) == 1 or arguments[1] in ("-h", "--help")):
         print(overview(first))
         raise SystemExit(0)
-    place, given, valid = (f" {first}", arguments[1], seconds) if seconds else ("", first, _first_words())
+    firsts = list(dict.fromkeys(name.partition(" ")[0] for name in COMMANDS))
+    place, given, valid = (f" {first}", arguments[1], seconds) if seconds else ("", first, firsts)
     raise UsageError(
         f"carecontact{place} has no command {given!r}{did_you_mean(given, valid)}; valid: {', '.join(valid)}"
     )
-
-
-def _first_words() -> list[str]:
-    return list(dict.fromkeys(name.partition(" ")[0] for name in COMMANDS))
 
 
 def overview(first: str = "") -> str:
@@ -169,7 +159,6 @@ def overview(first: str = "") -> str:
 
 
 def command_class(name: str) -> type[Any]:
-    """Return the class of a command, with its help texts."""
     module, _, made = COMMANDS[name].partition(":")
     return described(getattr(import_module(f"carecontact.cli.{module}"), made))
 
@@ -202,8 +191,7 @@ def described(command: type[Any]) -> type[Any]:
 
 
 def option_names(command: type[Any]) -> list[str]:
-    """Return every option of a command as it is typed, including those of its groups. Positional arguments are left
-    out."""
+    """Return every option of a command as it is typed, including those of its groups, without positional arguments."""
     names: list[str] = []
     for name, hint, _ in _options(command):
         if is_dataclass(_bare(hint)):
@@ -234,7 +222,6 @@ def _as_typed(name: str, hint: Any) -> str:
 
 
 def _options(owner: type[Any]) -> Iterator[tuple[str, Any, object]]:
-    """Yield name, type and default of each field of a command."""
     hints = get_type_hints(owner, include_extras=True)
     for field in fields(owner):
         default = field.default if field.default_factory is MISSING else field.default_factory()
@@ -290,11 +277,7 @@ def _check_options(name: str, command: type[Any], arguments: Sequence[str]) -> N
 
 
 def in_one_line(box: str, lacking: Sequence[str]) -> str:
-    """Return what is wrong and where help is from tyro's framed page, without the indented help texts.
-
-    Args:
-        lacking: options that the command line does not give, to which a word without an option may belong.
-    """
+    """Return what is wrong, from tyro's framed page. ``lacking``: options to which a stray word may belong."""
     rows = [line.strip("│╰╯ \n") for line in box.splitlines() if not line.startswith(" " * 8, 2)]
     sections = [" ".join(section.split()) for section in RULE.split("\n".join(rows[1:])) if section.strip()]
     if not sections:
@@ -312,7 +295,6 @@ def in_one_line(box: str, lacking: Sequence[str]) -> str:
 
 
 def _stray(words: Sequence[str], lacking: Sequence[str]) -> str:
-    """Describe words that no option takes."""
     meant = " ".join(f"{option} {word}" for option, word in zip(lacking, words, strict=False))
     if all(LISTED.fullmatch(word) for word in words):
         meant = "a list with commas, such as --tasks T1,T2 or --seeds 0,1"

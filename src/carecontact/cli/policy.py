@@ -30,14 +30,7 @@ SPELLED = {"rules-v1": "rules-v1", "replay": "replay:FILE.jsonl", "live": "live:
 
 
 def chosen_language(ref: PolicyRef, options: PolicyGroup, arguments: dict[str, str]) -> tuple[str | None, str | None]:
-    """Return ``language`` and ``record`` for the policy, with paths that hold in every folder, or None.
-
-    A registered policy with language backends may be given both as --policy-arg too, which takes them out of
-    ``arguments``.
-
-    Raises UnknownNameError; ConfigError for a policy that takes no such language, a file that is not a replay file, or
-    a record without a live model; DependencyError for ``live:`` without its package.
-    """
+    """Return ``language`` and ``record`` with absolute paths, from their options or out of ``arguments``, or None."""
     kinds = POLICIES[ref.name].languages if ref.kind == "registered" else ()
     language, record = options.language, options.record
     if kinds:
@@ -111,8 +104,7 @@ def suggestion(policy: str, folder: Path) -> str:
 
 
 def _last_part(policy: str) -> tuple[str, str, str]:
-    """Split ``my_policy.MyPolicy``, which has a dot where the colon belongs, at that dot. The name of a file is not
-    split."""
+    """Split ``my_policy.MyPolicy``, which has a dot where the colon belongs. The name of a file is not split."""
     if policy.endswith(".py") or "." not in policy:
         return policy, "", ""
     return policy.rpartition(".")
@@ -128,11 +120,7 @@ def classes(file: Path) -> list[str]:
 
 
 def with_vision(protocol: Protocol, options: VisionGroup) -> Protocol:
-    """Return the protocol with the options' segmenter, if they name one, and load its models once, since every trial
-    would fail in the same way.
-
-    Raises ConfigError for weights that nothing uses, that are missing, or that do not load; DependencyError.
-    """
+    """Return the protocol with the options' segmenter; load its models once, as every trial would fail alike."""
     segmenter, weights = options.segmenter, options.weights
     name = segmenter or protocol.vision.segmenter
     if name == "mediapipe":
@@ -166,11 +154,7 @@ isolation of the process."""
 
 
 def policy_setup(policy: str, options: PolicyGroup, variant: str = "") -> PolicySetup:
-    """Return the setup of a policy, in a variant, that is looked for in the current folder first.
-
-    Raises ConfigError for a malformed reference, argument or variable, for a language that the policy does not take,
-    and for options that a remote policy cannot be given; UnknownNameError; DependencyError as ``chosen_language``.
-    """
+    """Return the setup of a policy, in a variant, that is looked for in the current folder first."""
     try:
         ref = PolicyRef.parse(policy)
     except ConfigError as error:
@@ -225,11 +209,7 @@ def _secret(ref: PolicyRef) -> str:
 
 def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
     """Start the policy once, just as a trial does, and return its card; None for a shipped one that is given nothing,
-    and for a privileged one, which no process but a trial's own may start. Print a warning if it is not isolated.
-
-    Raises UnknownNameError, or ConfigError that says in its first line why a policy does not start or a server shows no
-    card, followed by the end of the policy's traceback and output.
-    """
+    and for a privileged one, which no process but a trial's own may start. Print a warning if it is not isolated."""
     if is_privileged(setup.ref):
         if setup.arguments or setup.environment or setup.readable or setup.writable:
             raise ConfigError(
@@ -265,7 +245,6 @@ def check_policy(setup: PolicySetup, *, deadline_s: float) -> PolicyCard | None:
 
 
 def arguments_text(setup: PolicySetup) -> str:
-    """Return the arguments as a line shows them, with a space before each."""
     return "".join(f" {name}={text}" for name, text in setup.arguments.items())
 
 
@@ -286,7 +265,6 @@ def _arguments(given: Sequence[str]) -> dict[str, str]:
 
 
 def _places(option: str, paths: Sequence[str]) -> tuple[str, ...]:
-    """Return the paths as absolute ones, which hold in every folder."""
     found = tuple(os.path.abspath(os.path.expanduser(path)) for path in paths)
     absent = next((path for path in found if not os.path.exists(path)), None)
     if absent is not None:

@@ -42,12 +42,6 @@ class Tally:
     """Counts the trials of a run as they end. Each is scored once, in the background."""
 
     def __init__(self, out: Path, scorer: Scorer) -> None:
-        """Make a tally without a trial.
-
-        Args:
-            out: folder of the run.
-            scorer: scores the trials that run, which the tally gives it.
-        """
         self._out, self._scorer = out, scorer
         self._began = time.monotonic()
         self._done = self._total = self._ran = 0
@@ -114,7 +108,6 @@ class Tally:
         return f"{time.monotonic() - self._began:6.0f} s [{self._done}/{self._total}] {text}"
 
     def wait(self) -> None:
-        """Wait until every trial is scored."""
         self._scorer.wait()
 
     def _count(self, score: TrialScore | None) -> None:
@@ -130,7 +123,6 @@ class Tally:
 
     @cached_property
     def _stored(self) -> dict[str, TrialScore]:
-        """The scores that an earlier command wrote."""
         with suppress(ConfigError, OSError):
             return {score.trial_id: score for score in read_results(self._out / RESULTS_NAME).scores}
         return {}
@@ -149,8 +141,11 @@ class RunBar(Progress):
         yield from super().get_renderables()
         yield from (Text(line, no_wrap=True, overflow="ellipsis") for line in self._tally.lines())
 
-    def advance_to(self, done: int, total: int) -> None:
-        self.update(self._row, completed=done, total=total, description=self._tally.left())
+    def show(self, event: TrialEvent) -> None:
+        self._tally.take(event)
+        if event.kind != "waiting" and (line := event_line(event)):
+            self.console.print(line, highlight=False, markup=False)
+        self.update(self._row, completed=event.done, total=event.total, description=self._tally.left())
 
 
 class Silence:
@@ -173,7 +168,6 @@ class Silence:
 
 
 def event_line(event: TrialEvent) -> str | None:
-    """Return one line about an event, or None for an event that needs no line."""
     texts = {"redo": f"runs again: {event.message}", "waiting": event.message}
     if event.kind == "finished":
         how = ended_text(event.ended) if event.ended else "ended"
@@ -184,30 +178,14 @@ def event_line(event: TrialEvent) -> str | None:
 
 @contextmanager
 def progress(out: Path, scorer: Scorer) -> Iterator[Callable[[TrialEvent], None]]:
-    """Yield the callback for ``run_trials``: it shows a bar on a terminal, and prints plain lines elsewhere, at least
-    one in HEARTBEAT_S, and one as soon as a policy is silent.
-
-    Args:
-        out: folder of the run, whose finished trials are counted.
-        scorer: is given each of them.
-    """
+    """Yield the callback for ``run_trials``: a bar on a terminal; elsewhere lines, at least one in HEARTBEAT_S."""
     tally = Tally(out, scorer)
-    with _bar(tally) if sys.stdout.isatty() else _plain(tally) as show:
-        yield show
-
-
-@contextmanager
-def _bar(tally: Tally) -> Iterator[Callable[[TrialEvent], None]]:
+    if not sys.stdout.isatty():
+        with _plain(tally) as show:
+            yield show
+        return
     with RunBar(tally) as bar:
-
-        def show(event: TrialEvent) -> None:
-            tally.take(event)
-            line = event_line(event) if event.kind != "waiting" else None
-            if line:
-                bar.console.print(line, highlight=False, markup=False)
-            bar.advance_to(event.done, event.total)
-
-        yield show
+        yield bar.show
         # The bar stays on the terminal, so that it has to count the last trial too.
         tally.wait()
 
@@ -297,31 +275,19 @@ class SweepProgress:
 
 
 def throughput(trials: int, wall_s: float, most_at_once: int) -> str:
-    """Return one line about how fast the trials ran in the time ``wall_s`` [s]."""
     rate = f"{60 * trials / wall_s:.1f} a minute"
     return f"{counted(trials, 'trial')} in {wall_s:.0f} s, at most {most_at_once} at once: {rate}"
 
 
 def status_of(ended: Mapping[EndReason, int], *, allow_failures: bool = False) -> int:
-    """Return the exit status. Failures of the harness take precedence, because they leave trials without a result.
-
-    Args:
-        ended: how trials ended -> number of trials.
-        allow_failures: whether a policy may crash.
-    """
+    """Return the exit status. Failures of the harness take precedence, because they leave trials without a result."""
     if ended.get("harness_error"):
         return HARNESS_FAILED
     return POLICY_CRASHED if ended.get("process_failure") and not allow_failures else 0
 
 
 def print_failed(ended: Mapping[str, EndReason], *, out: Path, again: str) -> None:
-    """Name what failed and where its logs are; of crashes also the end of the traceback and output.
-
-    Args:
-        ended: trial -> how it ended.
-        out: folder of the run.
-        again: command that goes on with the run.
-    """
+    """Name what failed and where its logs are. ``again``: command that goes on with the run."""
     crashed = [trial for trial, how in ended.items() if how == "process_failure"]
     harness = [trial for trial, how in ended.items() if how == "harness_error"]
     if crashed:
@@ -339,11 +305,6 @@ def print_failed(ended: Mapping[str, EndReason], *, out: Path, again: str) -> No
 
 
 def _print_groups(trials: Sequence[str], out: Path, *, whole: bool) -> None:
-    """Print equal failures together.
-
-    Args:
-        whole: whether to print more of a failure than its reason.
-    """
     groups: dict[str, list[tuple[str, Failure]]] = defaultdict(list)
     for trial_id in sorted(trials):
         failure = _failure(out / f"{trial_id}.h5")

@@ -64,18 +64,29 @@ class Show(_OfProtocol):
     the whole protocol that comes out."""
 
     def __call__(self) -> int:
-        levels = self.levels()
-        if self.output.json:
-            self._answer(levels)
-            return 0
-        from carecontact.protocol.load import ancestry, merged_table, protocol_file, split, tables, toml_text
+        from carecontact.cli.answers import ProtocolShowAnswer
+        from carecontact.protocol.load import ancestry, by_level, merged_table, protocol_file, toml_text
         from carecontact.protocol.lock import lock_path, read_lock
 
+        levels = self.levels()
         for protocol in levels:
             held = read_lock(self.name, level=protocol.level)
-            locked = "no lock" if held is None else lock_path(self.name, level=protocol.level).name
-            print(f"# {protocol.name}, sha256 {protocol.sha256}")
-            print(f"# {'frozen' if protocol.frozen else 'draft'}, {locked}")
+            lock = None if held is None else lock_path(self.name, level=protocol.level).name
+            if self.output.json:
+                print_answer(
+                    ProtocolShowAnswer(
+                        id=protocol.name,
+                        sha256=protocol.sha256,
+                        frozen=protocol.frozen,
+                        lock=lock,
+                        fields=protocol.model_dump(mode="json"),
+                    )
+                )
+            else:
+                print(f"# {protocol.name}, sha256 {protocol.sha256}")
+                print(f"# {'frozen' if protocol.frozen else 'draft'}, {lock or 'no lock'}")
+        if self.output.json:
+            return 0
         for region, row in levels[0].person.tissue.items():
             law = " + ".join(f"{v:g} x^{k}" for k, v in enumerate((row.a_n_m3, row.b_n_m4, row.c_n_m5), 1) if v)
             print(f"# {levels[0].person.tissue_set}, {region}: {law} [Pa], {row.damping_ns_m3:g} N s/m^3")
@@ -87,27 +98,11 @@ class Show(_OfProtocol):
             return 0
         table, what = merged_table(self.name), f"level {one} of {self.name}" if one else self.name
         if one:
-            table = tables(*split(self.name, table))[one]
+            table = by_level(self.name, table)[one]
         over = f" over its base {', over '.join(reversed(bases))}" if bases else ""
         print(f"# {what}{over}; comments are left out\n")
         print(toml_text(table), end="")
         return 0
-
-    def _answer(self, levels: Sequence[Protocol]) -> None:
-        from carecontact.cli.answers import ProtocolShowAnswer
-        from carecontact.protocol.lock import lock_path, read_lock
-
-        for protocol in levels:
-            held = read_lock(self.name, level=protocol.level)
-            print_answer(
-                ProtocolShowAnswer(
-                    id=protocol.name,
-                    sha256=protocol.sha256,
-                    frozen=protocol.frozen,
-                    lock=None if held is None else lock_path(self.name, level=protocol.level).name,
-                    fields=protocol.model_dump(mode="json"),
-                )
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,12 +110,10 @@ class Verify(_OfProtocol):
     """Check that a protocol still equals its lock, the file with its hashes."""
 
     def __call__(self) -> int:
-        """Return 1 if anything differs from a lock, or if there is no lock."""
         return max(verify(self.name, rules, json=self.output.json) for rules in self.levels())
 
 
 def verify(name: str, protocol: Protocol, *, json: bool = False) -> int:
-    """Return 1 if anything differs from the lock, including the compiled worlds, or if there is no lock."""
     from carecontact.cli.answers import ProtocolVerifyAnswer
     from carecontact.protocol.lock import lock_path
     from carecontact.runs.identity import drift, is_borrowed, lock_of, make_lock
@@ -193,7 +186,6 @@ class Feasible(_OfProtocol):
     feasible.png, and no map with --json."""
 
     def __call__(self) -> int:
-        """Return 1 if a seed is not feasible. Raises ConfigError for levels of which none parks the robot."""
         from carecontact.episode.placed_persons import draw_map, survey_placement
         from carecontact.runs.plan import parse_seeds
 
@@ -257,15 +249,17 @@ def _answer(rules: Protocol, found: Sequence[PlacementSurvey]) -> None:
             )
             for one in (each.found.rejected if each.found else [])
         ]
-        facts: dict[str, object] = {
-            "seed": each.seed,
-            "draws": each.draws,
-            "refused": dict(each.refused),
-            "salted": bool(each.salt),
-        }
-        body = each.found.body if each.found else None
-        facts |= {"feasible": each.found is not None, "body": body, "rejected": rejected}
-        seeds.append(FeasibleSeed.model_validate(facts))
+        seeds.append(
+            FeasibleSeed(
+                seed=each.seed,
+                salted=bool(each.salt),
+                feasible=each.found is not None,
+                body=each.found.body if each.found else None,
+                draws=each.draws,
+                refused=dict(each.refused),
+                rejected=rejected,
+            )
+        )
     served = all(each.found is not None for each in found)
     print_answer(ProtocolFeasibleAnswer(id=rules.name, feasible=served, seeds=seeds))
 
@@ -284,8 +278,6 @@ class Salt:
     """File with the secret of the run, for `reveal`."""
 
     def __call__(self) -> int:
-        """Return 1 if a run does not agree with its salt. Raises ConfigError as ``runs.manifest`` and
-        ``audit.salt``."""
         from carecontact.runs.lock import folder_lock
         from carecontact.runs.manifest import make_salt, read_salt, reveal_salt
 

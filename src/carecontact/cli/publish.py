@@ -37,10 +37,6 @@ FEW = 12
 
 
 def check_rows(folder: Path, run: RunScores) -> None:
-    """Check that there is something to show.
-
-    Raises ConfigError if no recording could be scored, and RecordingError, which names the recording and its
-    package, for an action or a region that nothing here registers: the report that is there stays."""
     if not run.scores:
         why = next(iter(run.skipped.values()), "there are none")
         raise ConfigError(f"{folder}: no recording can be scored, so no report is written; the first: {why}")
@@ -52,12 +48,7 @@ def check_rows(folder: Path, run: RunScores) -> None:
 def scores_of(
     folder: Path, *, jobs: int | None = None, scored: Callable[[Path], ScoredFile | None] = lambda path: None
 ) -> RunScores:
-    """Score every recording; write and print nothing.
-
-    Args:
-        jobs: processes; default: as many as pay.
-        scored: the score that a recording has already got, or None to compute it.
-    """
+    """Score every recording; write and print nothing. ``scored``: the score that a recording already has, or None."""
     check_jobs(jobs)
     need_recordings(folder)
     many = processes(sum(1 for _ in folder.glob("*.h5"))) if jobs is None else jobs
@@ -65,7 +56,6 @@ def scores_of(
 
 
 def processes(recordings: int) -> int:
-    """Return the number of processes that saves time."""
     return max(1, min(available_cores(), recordings // FEW))
 
 
@@ -125,13 +115,7 @@ def write_table(folder: Path, scores: Sequence[TrialScore]) -> str:
 
 def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> tuple[list[str], Baselines | None]:
     """Write report.html. Return lines that name it and the baselines that it shows, and the policies beside the run.
-
-    Args:
-        run: the scores of the folder.
-        baselines: runs of blind baselines to show beside it from now on; without any, the earlier ones stay.
-
-    Raises ConfigError for a baseline that cannot be read or compared; then nothing is written or remembered.
-    """
+    Where a baseline cannot be read or compared, nothing is written or remembered."""
     lost: dict[str, str] = {}
     lines: list[str] = []
     if baselines:
@@ -158,8 +142,7 @@ def write_page(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) 
 
 
 def controls_of(folder: Path, run: RunScores, named: Sequence[RunScores] = ()) -> list[RunScores]:
-    """Return the runs of the same policy under the controls of ``run --control``, which lie inside its folder; without
-    those that are ``named`` already, and those that cannot stand beside it."""
+    """Return the comparable runs of the same policy under ``run --control``, which lie inside its folder."""
     if not run.scores:
         return []
     places = {name: folder / name for name in LOOK_CONTROLS if (folder / name / RESULTS_NAME).is_file()}
@@ -170,8 +153,7 @@ def controls_of(folder: Path, run: RunScores, named: Sequence[RunScores] = ()) -
 
 
 def _remembered(folder: Path, run: RunScores) -> tuple[list[RunScores], dict[str, str], list[str]]:
-    """Return the baselines of the last report, each baseline that can no longer be shown -> the reason, and lines about
-    both."""
+    """Return the baselines of the last report, each one that can no longer be shown -> why, and lines about both."""
     try:
         found, lost = _comparable(remembered(folder), run)
     except ConfigError as error:
@@ -200,10 +182,7 @@ def _comparable(places: Mapping[str, Path], run: RunScores) -> tuple[dict[str, R
 
 
 def write_page_of(file: Path) -> Path:
-    """Score one recording, write the page of its trial into the folder ``trial`` beside it, and return the page's path.
-
-    Raises RecordingError, naming the file, for one that cannot be read, scored or drawn.
-    """
+    """Score one recording, write the page of its trial into the folder ``trial`` beside it, and return its path."""
     recording = read_recording(file)
     score = score_recording(recording)
     beside = policies_beside(file.parent, RunScores(scores=[score]))
@@ -211,11 +190,7 @@ def write_page_of(file: Path) -> Path:
 
 
 def write_trial_pages(folder: Path, run: RunScores, *, baselines: Sequence[Path] = ()) -> None:
-    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn.
-
-    Args:
-        baselines: runs of blind baselines to show beside the trials; without any, those of the last report.
-    """
+    """Write the page of every scored trial. A recording that cannot be drawn is named, and the others are drawn."""
     beside, done = policies_beside(folder, run, baselines), 0
     for score in run.scores:
         try:

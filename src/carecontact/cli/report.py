@@ -44,8 +44,7 @@ class Report:
     output: VerboseGroup = field(default_factory=VerboseGroup)
 
     def __call__(self) -> int:
-        """With --rescore, return 1 if a recording was skipped, or if results.json stays because planned trials are
-        missing."""
+        """With --rescore, return 1 if a recording was skipped, or if planned trials are missing."""
         from carecontact.cli.publish import check_rows, publish, scores_of, write_trial_pages
         from carecontact.runs.lock import folder_lock
 
@@ -79,7 +78,6 @@ class Report:
         return status
 
     def _write_one_page(self, options: Sequence[str]) -> int:
-        """Write the page of one trial. Raises ConfigError for an option that only a run's report has."""
         if self.place.suffix != ".h5":
             raise ConfigError(
                 f"{self.place}: report takes the folder of a run, or one recording in it (TRIAL.h5); name "

@@ -224,5 +224,4 @@ ANSWERS: tuple[type[Answer], ...] = (
 
 
 def name_of(answer: type[Answer]) -> str:
-    """Return the value of its field ``schema``, such as ``carecontact-list-1``."""
     return answer.model_fields["kind"].default

@@ -117,7 +117,6 @@ class Run:
 
     @cached_property
     def place(self) -> Path:
-        """Folder of the run."""
         if self.out is not None:
             return self.out / self.control if self.control else self.out
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", without_secret(self.policy or "")).strip("-.")
@@ -147,7 +146,6 @@ class Run:
         return status
 
     def _demonstrate(self) -> int:
-        """Run the demo. Return 1 if anything keeps it from being one."""
         from carecontact.running.supervisor import check_jobs
         from carecontact.runs.lock import folder_lock
 
@@ -169,31 +167,19 @@ class Run:
 
     def execute(self, policy: str, *, purpose: Purpose, variant: str = "", persons: int = 0) -> int:
         """Return 1 if the harness failed in any trial or a recording was skipped, else 3 if the policy crashed in one.
-
-        A policy that fails its tasks is a result. Raises ConfigError if the policy's server stays out of reach.
-
-        Args:
-            variant: of the policy (``interface.policy.VARIANT``).
-            persons: how many persons to train on take the place of the seeds; 0 for a run on ``seeds``.
-        """
+        A policy that fails its tasks is a result. ``persons``: how many persons to train on take the place of the
+        seeds."""
         from carecontact.cli.policy import check_policy, policy_setup
         from carecontact.protocol.protocol import TRAINING_SALT
         from carecontact.running.pace import check_pace
-        from carecontact.running.supervisor import check_engine, check_jobs
+        from carecontact.running.supervisor import check_engine, check_jobs, move_aside
+        from carecontact.runs import plan
         from carecontact.runs.lock import folder_lock
         from carecontact.runs.manifest import runs_beside, with_salt
-        from carecontact.runs.plan import (
-            Shard,
-            check_not_trained_on,
-            parse_seeds,
-            parse_tasks,
-            plan_trials,
-            with_noise_salt,
-        )
 
         check_jobs(self.parallel.jobs)
         check_pace(self.pace)
-        shard = None if self.shard is None else Shard.parse(self.shard)
+        shard = None if self.shard is None else plan.Shard.parse(self.shard)
         if self.restart and self.retry_failed:
             raise ConfigError("--restart runs every trial again, and --retry-failed only some; give one of them")
         salt, setup = TRAINING_SALT if persons else self.salted.salt, policy_setup(policy, self.given, variant)
@@ -201,13 +187,13 @@ class Run:
         if warning := check_engine(self.parallel.engine, setup, gpus=self.parallel.gpus):
             print(f"warning: {warning}")
         rules = self._protocol()
-        tasks = parse_tasks(self.tasks, protocol=rules)
-        seeds = range(persons) if persons else parse_seeds(self.seeds, protocol=rules)
+        tasks = plan.parse_tasks(self.tasks, protocol=rules)
+        seeds = range(persons) if persons else plan.parse_seeds(self.seeds, protocol=rules)
         with ExitStack() as held:
             held.enter_context(folder_lock(self.place, make=True))
             closed = replace(setup, closed=(*setup.closed, *runs_beside(self.place)))
             card = check_policy(closed, deadline_s=rules.phases.first_call_deadline_s)
-            planned = plan_trials(
+            planned = plan.plan_trials(
                 protocol=rules,
                 policy=setup.ref.text,
                 tasks=tasks,
@@ -216,10 +202,11 @@ class Run:
                 environment=setup.environment,
             )
             if card is not None:
-                check_not_trained_on(card.trained_on, with_salt(planned, salt))
-            planned = with_noise_salt(with_salt(planned, salt), self.noise_salt, one_of_several=shard is not None)
+                plan.check_not_trained_on(card.trained_on, with_salt(planned, salt))
+            planned = plan.with_noise_salt(with_salt(planned, salt), self.noise_salt, one_of_several=shard is not None)
             specs = planned if shard is None else shard.of(planned)
-            if self.restart and restart(self.place):
+            if self.restart and (moved := move_aside(self.place)) is not None:
+                print(f"--restart: the earlier run in {self.place} is now {moved}")
                 held.enter_context(folder_lock(self.place, make=True))
             whole = [spec.trial_id for spec in planned]
             return self._run(specs, setup, card=card, purpose=purpose, whole=whole)
@@ -288,19 +275,17 @@ class Run:
             self._answer_trial(event, scorer)
 
     def _scores(self, summary: RunSummary, scorer: Scorer) -> RunScores | None:
-        """Score the recordings; None if no trial has ended."""
         from carecontact.cli.publish import scores_of
 
         return scores_of(self.place, scored=scorer.take) if summary.ended else None
 
     def _finish(self, summary: RunSummary, scores: RunScores) -> int:
-        """Write results.json and the report, print the scores, and return the exit status."""
         from carecontact.cli.progress import print_failed, status_of, throughput
         from carecontact.cli.publish import publish
         from carecontact.report.words import clipped_text
 
         if self.video:
-            from carecontact.cli.video import film_failures
+            from carecontact.cli.view import film_failures
 
             film_failures(self.place, (score for score in scores.scores if score.trial_id in summary.ran))
         # New trials change the summary as they should; only a run that had nothing to do can show an unexpected change.
@@ -341,7 +326,6 @@ class Run:
         )
 
     def _answer_run(self, spec: TrialSpec, summary: RunSummary, *, status: int) -> None:
-        """Print the summary of the run as JSON. ``spec`` is any trial of it."""
         from carecontact.cli.result_answers import RunAnswer, RunProtocol
         from carecontact.runs.results_file import RESULTS_NAME
 
@@ -366,11 +350,6 @@ class Run:
         )
 
     def _protocol(self) -> Protocol:
-        """Return the protocol of the run.
-
-        Raises ConfigError for a protocol that cannot run or be scored, and UnknownNameError for a name that no protocol
-        has.
-        """
         from carecontact.cli.policy import with_vision
         from carecontact.protocol.load import load_protocol
         from carecontact.runs.identity import check_frozen
@@ -389,23 +368,8 @@ class Run:
         return rules
 
 
-def restart(out: Path) -> bool:
-    """Move an earlier run aside and print its new place. Return whether there was an earlier run.
-
-    Raises ConfigError for a folder that is not a run."""
-    from carecontact.running.supervisor import move_aside
-
-    moved = move_aside(out)
-    if moved is not None:
-        print(f"--restart: the earlier run in {out} is now {moved}")
-    return moved is not None
-
-
 def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
-    """Remove what an earlier demo of the same trials wrote into ``out``, and nothing else.
-
-    Raises ConfigError for a folder that holds anything but such a demo.
-    """
+    """Remove what an earlier demo of the same trials wrote into ``out``, and nothing else."""
     from carecontact.running.supervisor import remove_abandoned
     from carecontact.runs.lock import LOCK
     from carecontact.runs.manifest import MANIFEST, read_manifest
@@ -429,7 +393,6 @@ def remove_earlier_demo(out: Path, *, trial_ids: Sequence[str]) -> None:
 
 
 def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
-    """Return one line for each thing that keeps this folder from being a demonstration."""
     from carecontact.recording import read_header
     from carecontact.recording.reason import ended_text, reason_of
     from carecontact.recording.schema import FAILED
@@ -449,7 +412,6 @@ def check_demo(out: Path, *, trial_ids: Sequence[str]) -> list[str]:
 
 
 def missing_successes(scores: Sequence[TrialScore]) -> list[str]:
-    """Return one line for each action of the demo in which no trial succeeded."""
     from carecontact.protocol.load import load_protocol
 
     done = {score.action for score in scores if score.c3_success}

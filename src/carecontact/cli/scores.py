@@ -32,13 +32,7 @@ MOST_LINES = 20
 
 
 def print_scores(run: RunScores, folder: Path, beside: Baselines | None, *, verbose: bool) -> None:
-    """Print the verdict, a table of the tasks, and warnings; with ``verbose`` also medians and counts.
-
-    Args:
-        run: at least one score.
-        folder: folder of the run's recordings, as far as they are there.
-        beside: the policies beside the run, of which the verdict names floor and ceiling.
-    """
+    """Print the verdict, a table of the tasks, and warnings; with ``verbose`` also medians and counts."""
 
     scores, first, terminal = run.scores, run.scores[0], console(WIDTH)
     changed = None if first.overrides else drifted_sha256(first.protocol_id, first.protocol_sha256)
@@ -103,7 +97,6 @@ def _modes(scores: Sequence[TrialScore]) -> str:
 
 
 def _print_misses(scores: Sequence[TrialScore], rows: Sequence[SummaryRow], folder: Path, terminal: Console) -> None:
-    """Print how near the tool came to each task's region, and when, for a policy that never touched the person."""
 
     table = plain_table("task", "trials", "nearest [mm]", "at [s]", "in trial", "ended", left=("in trial", "ended"))
     for row in rows:
@@ -194,7 +187,6 @@ def _protocol(scores: Sequence[TrialScore], folder: Path) -> Protocol | None:
 
 
 def print_left_out(run: RunScores) -> None:
-    """Name the files that could not be scored, and the planned trials that have no verdict."""
 
     for name, why in run.skipped.items():
         print(f"skipped {name}: {why}")
@@ -207,7 +199,6 @@ def print_left_out(run: RunScores) -> None:
 
 
 def read_content(folder: Path) -> object:
-    """Return what results.json holds; None without one."""
     try:
         return json.loads((folder / RESULTS_NAME).read_bytes())
     except FileNotFoundError:

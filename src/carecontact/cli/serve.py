@@ -31,7 +31,6 @@ class Serve:
     after_interrupt: ClassVar[str] = "; all policy processes end, too"
 
     def __call__(self) -> int:
-        """Serve until interrupted. Raises ConfigError for what cannot be served or where nothing can listen."""
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.policies.registry import policy_target
         from carecontact.running.workers import available_cores

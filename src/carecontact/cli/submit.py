@@ -52,7 +52,6 @@ class Submit:
     output: JsonGroup = field(default_factory=JsonGroup)
 
     def __call__(self) -> int:
-        """Raises ConfigError for a run that cannot stand on the board, with the reason."""
         from pydantic import ValidationError
 
         from carecontact.cli.board import BoardEntry, level_of
@@ -118,7 +117,6 @@ class Submit:
         return found
 
     def _kind(self, submission: Submission) -> str:
-        """Return the kind that was given or follows. Raises ConfigError for one that origin or card contradict."""
         from carecontact.cli.board import Kind
 
         card, served = submission.header.card or {}, submission.header.origin == "served"
@@ -160,8 +158,7 @@ def _scored(baseline: Path) -> RunScores:
 
 
 def _beside(submission: Submission, named: Sequence[RunScores]) -> list[Sequence[TrialScore]]:
-    """Return the scores that stand beside a run: those that were named and are of its level, and the kept ones. Raises
-    ConfigError for a named one that cannot be compared with it."""
+    """Return the scores that stand beside a run: those that were named and are of its level, and the kept ones."""
     from carecontact.report.baselines import check_baselines, shipped_scores_for
 
     level = submission.protocol.name

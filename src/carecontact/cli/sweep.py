@@ -44,29 +44,21 @@ def stored(folder: Path) -> RunScores | None:
 
 def computed(folder: Path) -> RunScores | None:
     """Return the scores that ``stored`` finds, or else those of the recordings in the folder. Nothing is written."""
-    from carecontact.runs import score_run
-    from carecontact.runs.scoring import beside_plan
+    from carecontact.runs.scoring import read_scores
 
-    if (found := stored(folder)) is not None or not any(folder.glob("*.h5")):
-        return found
-    return beside_plan(folder, score_run(folder))
+    found = stored(folder)
+    return read_scores(folder, rescore=True) if found is None and any(folder.glob("*.h5")) else found
 
 
 def store(folder: Path, *, rescore: bool, scorer: Scorer | None = None) -> None:
-    """Write the results of a cell. Unless ``rescore`` is true, existing results that belong to its recordings stay.
-
-    Args:
-        scorer: has scored the trials that ran; it scores the others too.
-    """
+    """Write the results of a cell. Unless ``rescore`` is true, existing results that belong to its recordings stay."""
     from carecontact.runs import score_run, write_scores
     from carecontact.runs.scoring import beside_plan
 
     if rescore or stored(folder) is None:
-        if scorer is None:
-            scores = score_run(folder)
-        else:
+        if scorer is not None:
             scorer.fill(sorted(folder.glob("*.h5")))
-            scores = score_run(folder, scored=scorer.take)
+        scores = score_run(folder, scored=scorer.take if scorer is not None else lambda path: None)
         write_scores(folder, beside_plan(folder, scores))
 
 
@@ -104,7 +96,6 @@ class Sweep:
 
     @property
     def place(self) -> Path:
-        """Folder of the sweep."""
         return self.out or Path("runs") / self.plan.stem
 
     @property
@@ -113,9 +104,7 @@ class Sweep:
         return f"; finished trials are kept; to continue, or with --table-only for their table: {command}"
 
     def __call__(self) -> int:
-        """Return 1 if the harness failed in any trial or one could not be scored, else 3 if a policy crashed in one.
-
-        Raises ConfigError for a wrong plan and, at the end, if the server of a policy stayed out of reach."""
+        """Return 1 if the harness failed in any trial or one could not be scored, else 3 if a policy crashed in one."""
         from carecontact.cli.progress import SweepProgress
         from carecontact.running.supervisor import check_jobs
         from carecontact.runs.plan import Shard
@@ -209,7 +198,6 @@ class Sweep:
             print_answer(SweepCellAnswer.model_validate({"policy": cell.label, **found}))
 
     def _lacking(self, cell: Cell) -> int:
-        """Return how many trials of a cell have no recording."""
         folder = self._folder(cell)
         return sum(not (folder / f"{spec.trial_id}.h5").is_file() for spec in cell.specs)
 
@@ -254,11 +242,6 @@ class Sweep:
         return list(unreached)
 
     def _table(self, plan: Plan, cells: Sequence[Cell], read: Callable[[Path], RunScores | None]) -> int:
-        """Write the table of all cells. Return 1 if a recording could not be scored.
-
-        Args:
-            read: the scores of a cell's folder.
-        """
         from carecontact.report.sweep_page import write_sweep
         from carecontact.report.sweep_table import sweep_table
         from carecontact.report.sweep_texts import sentences

@@ -59,7 +59,6 @@ class Physics:
     after_interrupt: ClassVar[str] = "; the checks that were finished are in validation.json"
 
     def __call__(self) -> int:
-        """Return 1 if any check fails on any body."""
         from carecontact.human.library import load_body
         from carecontact.lab.validation.run import CHECKS
         from carecontact.plotting import import_matplotlib
@@ -153,10 +152,6 @@ def _checks_table(rows: list[tuple[CheckResult, Measure]]) -> Table:
 
 
 def show_beside(rules: Protocol, body: str, folder: Path) -> None:
-    """Print the comparison with finite elements region by region, and write ``fem.json`` and ``fem.png``.
-
-    Raises DependencyError where scikit-fem is missing.
-    """
     from carecontact.lab.fem.compare import as_json, compare, draw
     from carecontact.lab.validation.subject import Subject
     from carecontact.plotting import draw_figure
@@ -221,7 +216,6 @@ class Metrics:
     after_interrupt: ClassVar[str] = "; nothing was written"
 
     def __call__(self) -> int:
-        """Return 1 if a score does not follow its sweep."""
         from carecontact.lab.validation.probes import PROBES, run
         from carecontact.lab.validation.subject import Subject
         from carecontact.plotting import import_matplotlib

@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeVar
 
 import tyro
 
-from carecontact.cli.groups import RulesGroup, SaltGroup, Switch, VisionGroup, check_trial, make_folder_of
+from carecontact.cli.groups import (
+    RulesGroup,
+    SaltGroup,
+    Switch,
+    VisionGroup,
+    chosen_trial,
+    make_folder_of,
+    need_recordings,
+)
 from carecontact.cli.parsing import UsageError, given_options, option_names
-from carecontact.cli.video import VideoGroup
-from carecontact.errors import ConfigError
+from carecontact.errors import CarecontactError, ConfigError, RecordingError
 
+if TYPE_CHECKING:
+    from carecontact.scoring.result import TrialScore
+
+T = TypeVar("T")
+TERMINAL_S, PLAIN_S = 0.25, 30.0
+"""Time between two lines of progress, on a terminal and elsewhere."""
+FOLDER = "trial"
+"""Folder inside a run's folder in which the pages of its trials look for their videos."""
+GIF_WIDTH = 640
+"""Width of an animation [px]."""
+VIDEO_FPS, DRAFT_FPS = 12.5, 6.25
+MOST_FAILURES = 3
+"""Number of failures of a run that are filmed without being asked for, at most one for each cause."""
+MOST_JOBS = 8
+"""Number of processes that draw where --jobs is not given, at most: each holds a renderer in memory."""
+FRAMES_EACH = 25
+"""Least number of frames for which another process pays, because it takes 2 s to start."""
 FPS = (1.0, 60.0)
 """Lowest and highest rate that can be asked for [1/s]."""
 VIEWER_FPS = 12.5
@@ -31,8 +60,6 @@ class ViewerGroup:
     """Open MuJoCo's own viewer instead of Rerun's. The space bar pauses, the arrow keys skip a second."""
 
     def show(self, trial: Path, *, fps: float) -> int:
-        """Raises RecordingError for a recording that cannot be shown, and DependencyError where there is no display or
-        the extra is not installed."""
         from carecontact.recording import read_recording
         from carecontact.replay.replay import Replay
         from carecontact.replay.rerun_file import rerun_sdk
@@ -66,6 +93,117 @@ def _write(trial: Path, path: Path, *, fps: float) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
+class VideoGroup:
+    """Options of ``carecontact view --video``, and the videos that they ask for."""
+
+    heading: ClassVar = "video"
+
+    camera: str = "contact"
+    """With --video: contact (near the region), orbit (turns round it), or one of the protocol's cameras, such as
+    overhead, bedside, exterior or wrist."""
+    draft: Switch = False
+    """With --video: draw no shadows and fewer frames, for a first look: more than twice as fast."""
+    jobs: int | None = None
+    """With --video: number of processes that draw; default: one per core, at most 8, and fewer for a short video. The
+    video does not depend on it."""
+    no_grid: Switch = False
+    """With --video: draw no lines on the region's skin."""
+    again: Switch = False
+    """With --video: make videos again that exist already."""
+
+    def write(self, place: Path, *, out: Path | None, fps: float | None) -> int:
+        """Make a video of one trial or of every trial of a run. Return 1 if a trial of the run cannot be shown."""
+        from carecontact.replay.film import pyav
+        from carecontact.running.supervisor import check_jobs
+
+        check_jobs(self.jobs)
+        trials = self._trials(place, out)
+        pyav()
+        fps = fps or (DRAFT_FPS if self.draft else VIDEO_FPS)
+        left_out = 0
+        for number, trial in enumerate(trials, 1):
+            name = trial.stem if self.camera == "contact" else f"{trial.stem}-{self.camera}"
+            target = out or trial.parent / FOLDER / f"{name}.mp4"
+            try:
+                self._make(trial, target, fps=fps, prefix=f"[{number}/{len(trials)}] " if len(trials) > 1 else "")
+            except RecordingError as error:
+                if not place.is_dir():
+                    raise
+                left_out += 1
+                print(f"left out: {error}", flush=True)
+        return 1 if left_out else 0
+
+    def _trials(self, place: Path, out: Path | None) -> list[Path]:
+        if not place.is_dir() and place.suffix == ".h5":
+            if out is not None and out.suffix not in (".mp4", ".gif"):
+                raise ConfigError(f"--out {out}: name a file that ends in .mp4 or .gif")
+            return [place]
+        if out is not None:
+            raise ConfigError("--out names the file for one trial's video; the videos of a run go to its folder trial")
+        need_recordings(place)
+        return sorted(place.glob("*.h5"))
+
+    def _make(self, trial: Path, target: Path, *, fps: float, prefix: str) -> None:
+        from carecontact.pictures import shrunk
+        from carecontact.recording import read_recording
+        from carecontact.replay.film import Film, comment_of, write_gif, write_mp4
+        from carecontact.running.workers import available_cores
+
+        recording = read_recording(trial)
+        comment = self._comment(recording.stored_sha256, fps)
+        if not self.again and target.suffix == ".mp4" and comment_of(target) == comment:
+            print(f"{prefix}{target}: is there already", flush=True)
+            return
+        film = Film(recording, view=self.camera, fps=fps, grid=not self.no_grid, shadows=not self.draft)
+        make_folder_of(target)
+        jobs = self.jobs or max(1, min(available_cores(), MOST_JOBS, film.count // FRAMES_EACH))
+        with closing(film.frames(jobs=jobs)) as pictures:
+            frames = counted(pictures, film.count, f"{prefix}{trial.stem}")
+            if target.suffix == ".gif":
+                write_gif(target, (shrunk(frame, GIF_WIDTH) for frame in frames), fps=fps)
+            else:
+                write_mp4(target, frames, fps=fps, comment=comment)
+        size = target.stat().st_size / 1e6
+        print(f"{prefix}{target}: {film.count} frames, {size:.1f} MB; {film.found}", flush=True)
+
+    def _comment(self, sha256: str, fps: float) -> str:
+        """Return what a video was made of: a video with another comment is made again."""
+        from carecontact import __version__
+
+        facts = {"recording": sha256, "carecontact": __version__, "view": self.camera, "fps": fps}
+        return json.dumps({**facts, "grid": not self.no_grid, "draft": self.draft}, sort_keys=True)
+
+
+def film_failures(folder: Path, scores: Iterable[TrialScore]) -> None:
+    """Make draft videos of a run's first failures, one for each cause, where the run's report links them."""
+    first: dict[tuple[str | None, str | None], TrialScore] = {}
+    for score in scores:
+        if score.failure_mode is not None and not score.is_crash:
+            first.setdefault((score.failure_mode, score.attribution), score)
+    for score in list(first.values())[:MOST_FAILURES]:
+        try:
+            VideoGroup(draft=True).write(folder / f"{score.trial_id}.h5", out=None, fps=None)
+        except CarecontactError as error:
+            print(f"no video of {score.trial_id}: {error}", flush=True)
+
+
+def counted(items: Iterable[T], total: int, name: str) -> Iterator[T]:
+    """Yield the items, and print how many of ``total`` there have been and how much time is left."""
+    began = printed = time.monotonic()
+    terminal = sys.stdout.isatty()
+    for number, item in enumerate(items, 1):
+        yield item
+        now = time.monotonic()
+        if now - printed >= (TERMINAL_S if terminal else PLAIN_S):
+            printed = now
+            left_s = (now - began) / number * (total - number)
+            line = f"{name}: frame {number} of {total}, {left_s:.0f} s left"
+            print(f"\r{line:<70}" if terminal else line, end="" if terminal else "\n", flush=True)
+    if terminal:
+        print(f"\r{'':<70}\r", end="", flush=True)
+
+
+@dataclass(frozen=True, kw_only=True)
 class StartGroup:
     """Options of ``carecontact view --start``."""
 
@@ -83,7 +221,6 @@ class StartGroup:
     salted: SaltGroup = field(default_factory=SaltGroup)
 
     def draw(self, out: Path | None) -> int:
-        """Raises ConfigError for a task or seed that the protocol does not have."""
         from carecontact.cli.policy import with_vision
         from carecontact.interface.observation import MODALITIES
         from carecontact.interface.policy import CAMERAS, PolicyCard
@@ -95,9 +232,7 @@ class StartGroup:
         loaded = load_protocol(self.rules.protocol, level=self.rules.level)
         rules = self.rules.changed(loaded, tool={} if self.tool is None else {"scene.tool": self.tool})
         rules = with_vision(rules, self.vision)
-        task = self.task or rules.tasks[0].id
-        seed = rules.randomization.seeds[0] if self.seed is None else self.seed
-        check_trial(rules, task=task, seed=seed)
+        task, seed = chosen_trial(rules, task=self.task, seed=self.seed)
         path = check_sheet_path(out or Path(f"start-{task}-s{seed:03d}.png"))
         check_protocol(rules)
         check_ready()
@@ -148,7 +283,6 @@ class View:
         )
 
     def __call__(self) -> int:
-        """Return 1 if the viewer fails or a trial of a run cannot be shown. Raises ConfigError for wrong options."""
         self._check()
         if self.start:
             return self.sheet.draw(self.out)
@@ -161,7 +295,6 @@ class View:
         return self._draw_notes(self.place) if self.notes else self.viewer.show(self.place, fps=self.fps or VIEWER_FPS)
 
     def _check(self) -> None:
-        """Raises ConfigError for an option of another mode than the one that is given."""
         modes = {
             "view": ["place", "--fps", *option_names(ViewerGroup)],
             "view --video": ["place", "--out", "--fps", *option_names(VideoGroup)],
@@ -181,7 +314,6 @@ class View:
             raise ConfigError(f"--fps {self.fps:g}: valid are {FPS[0]:g} to {FPS[1]:g}")
 
     def _draw_notes(self, trial: Path) -> int:
-        """Raises ConfigError where there is nothing to draw, RecordingError for a file that is not a recording."""
         from carecontact.recording import read_recording
         from carecontact.report.look_sheet import check_sheet_path
         from carecontact.report.notes_picture import save_notes_picture

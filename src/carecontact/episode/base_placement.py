@@ -56,10 +56,8 @@ class LyingPerson:
         return replace(self, **{name: place.moved(getattr(self, name)) for name in ("skin", "limb", "cloud", "pelvis")})
 
     def repositioned(self, wrist_m: float, regions: tuple[str, ...]) -> LyingPerson:
-        """Return the person with the arm turned about the vertical axis through the shoulder.
-
-        ``wrist_m``: how far [m] along the board this moves the wrist.
-        """
+        """Return the person with the arm turned about the vertical through the shoulder, so far that the wrist moves
+        this far."""
         shoulder = self.limb[0]
         angle = wrist_m / float(np.hypot(*(self.limb[2] - shoulder)[:2]))
         cos, sin = np.cos(angle), np.sin(angle)
@@ -81,10 +79,7 @@ class LyingPerson:
 
 
 def lying_person(protocol: Protocol, comfort_arm_deg: float) -> LyingPerson:
-    """Let the person of a protocol settle in the protocol's own place with the robot far away; nothing is drawn.
-
-    Raises SceneError or SettleError as a trial's world does.
-    """
+    """Let the person settle in the protocol's own place with the robot far away; raises as a trial's world does."""
     away = protocol.scene.model_copy(update={"robot_base_m": OUT_OF_THE_WAY_M})
     simulation = Simulation(build_scene(protocol.model_copy(update={"scene": away}), target=None, skin=False))
     simulation.settle(comfort_arm_deg)
@@ -222,9 +217,7 @@ class PlacementCheck:
         return None
 
     def _out_of_reach(self, local: Array, wrist_m: tuple[float, float]) -> Refusal | None:
-        """Check that targets are within reach. ``local``: targets (n, 3) [m] in the robot's base, for a tool that
-        points down and away from the base.
-        """
+        """Check targets (n, 3) [m] in the robot's base, for a tool that points down and away from the base."""
         reach = self._arm.reach
         level = np.hypot(local[:, 0], local[:, 1]) - reach.wrist_offset_m
         distance = np.hypot(level, local[:, 2] + reach.wrist_to_tcp_m - reach.shoulder_height_m)
@@ -298,8 +291,6 @@ def base_draws(
 
 
 def _of_region(stream: np.random.Generator, region: str) -> np.random.Generator:
-    """Return a generator for one region alone, so that its draws do not depend on how many draws another region
-    needed.
-    """
+    """Return a generator whose draws do not depend on how many draws another region needed."""
     words = np.frombuffer(hashlib.sha256(region.encode()).digest(), "<u4").tolist()
     return np.random.default_rng([*stream.integers(2**32, size=4).tolist(), *words])

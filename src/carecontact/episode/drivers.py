@@ -41,29 +41,20 @@ class Driver(ABC):
         """The paths of ``apply`` that no action has used so far, which the recording leaves out."""
 
     def clip(self, action: Action) -> Action:
-        """Return the action moved into bounds that its space alone does not know, for a card that requests it; the same
-        object if nothing has to be moved."""
+        """Move an action into bounds that its space alone does not know; the same object if nothing has to be moved."""
         return action
 
     def check(self, action: Action) -> None:  # noqa: B027 - most drivers refuse nothing more
-        """Refuse an action that is valid by itself but not after those before it. Raises ActionError.
-
-        Args:
-            action: as its space's ``check`` returned it.
-        """
+        """Raise ActionError for an action, checked by its space, that is not valid after those before it."""
 
     @abstractmethod
     def apply(self, action: Action, period_s: float) -> Mapping[str, F64]:
-        """Make a checked action the controller's command for one period of the policy's control rate.
-
-        Returns:
-            Array path of a recording -> the entry that this action adds to it; the same paths for every action.
-        """
+        """Command a checked action for one control period; return its entry for each array, with the same paths every
+        time."""
 
 
 class CartesianPose(Driver):
-    """The impedance's target moves to the pose of each action, no faster than the protocol allows, with the tool's
-    compliance if the action has one."""
+    """The impedance's target moves to each pose, no faster than the protocol allows, with the action's compliance."""
 
     def __init__(self, simulation: Simulation) -> None:
         super().__init__(simulation)
@@ -73,9 +64,7 @@ class CartesianPose(Driver):
         self.unused = {PER_AXIS, DAMPING, WRENCH}
 
     def check(self, action: Action) -> None:
-        """Raise ActionError for an axis with neither stiffness nor feedforward, because nothing would hold the tool
-        there.
-        """
+        """Raise ActionError for an axis with neither stiffness nor feedforward: nothing would hold the tool there."""
         stiffness = self._stiffness if action.stiffness is None else _per_axis(action.stiffness)
         wrench = self._wrench if action.wrench_in_tcp is None else action.wrench_in_tcp
         loose = [axis for axis, k, w in zip(AXES, stiffness, wrench, strict=True) if k == 0 and w == 0]
@@ -208,9 +197,7 @@ class JointPosition(JointDriver):
 
 
 class DroidJointVelocity(JointDriver):
-    """Adds each velocity to the measured angles and not to the last target, so that the target does not run away while
-    the robot pushes.
-    """
+    """Adds velocities to the measured angles, so that the target does not run away while the robot pushes."""
 
     def _target(self, joint: F64) -> F64:
         measured = self.simulation.encoders.joint_position(self.simulation.data)

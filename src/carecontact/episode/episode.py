@@ -29,17 +29,11 @@ from typing import Self, cast
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.episode.controls import Control, control_of
 from carecontact.episode.drivers import Driver, driver_of
-from carecontact.episode.foam import Foam
-from carecontact.episode.log import STOPPED_OVER, PersonLog, TrialLog
-from carecontact.episode.looks import Looks, flags
+from carecontact.episode.log import STOPPED_OVER, Foam, PersonLog, TrialLog
+from carecontact.episode.looks import Control, Looks, control_of, flags
 from carecontact.episode.perception import Peak, PerceptionLog
-from carecontact.episode.randomization import (
-    World,
-    drawn_facts,
-    sensor_noise,
-)
+from carecontact.episode.randomization import World, drawn_facts, sensor_noise
 from carecontact.episode.worlds import KeptWorld, Worlds
 from carecontact.errors import ActionError, ConfigError, PolicyError
 from carecontact.interface.action import ACTION_SPACES, Action, ActionSpace
@@ -136,7 +130,7 @@ class Episode:
         """Whether the policy is given the simulation; the recording says so."""
         self.control = ""
         """Control of what the policy observes, from LOOK_CONTROLS; set it before ``reset``."""
-        self._control: Control = _as_it_is
+        self._control: Control | None = None
         self._closed = False
         self._taken: KeptWorld | None = None
         """The world that has to be given back."""
@@ -166,20 +160,12 @@ class Episode:
 
     def _enter_world(self, control: str) -> None:
         """Take the trial's world, whose robot is under this control."""
-        self._world = self._taken = self._worlds.take(self.spec, control, instead_of=self._taken)
-        self.simulation, self.protocol, self._renderer = (
-            self._world.simulation,
-            # From here on, the protocol is the drawn one: it says where robot and camera are in this trial.
-            self._world.protocol,
-            self._world.renderer,
-        )
+        world = self._world = self._taken = self._worlds.take(self.spec, control, instead_of=self._taken)
+        # From here on, the protocol is the drawn one: it says where robot and camera are in this trial.
+        self.simulation, self.protocol, self._renderer = world.simulation, world.protocol, world.renderer
         self.__dict__.pop("session", None)
-        self._equip()
-
-    def _equip(self) -> None:
-        """Make what belongs to one compiled world at t = 0: the log and the memory of the peak force."""
         self._person = PersonLog(self.simulation, self.task.region)
-        constants = self._person.constants(self._world.settled)
+        constants = self._person.constants(world.settled)
         self.log = TrialLog(
             human_joints=len(self.simulation.joint_names), regions=len(self.protocol.regions), constants=constants
         )
@@ -224,8 +210,7 @@ class Episode:
 
     @cached_property
     def session(self) -> Session:
-        """What a policy learns before its first observation: limits, cameras, compliance, and the size of the arm's
-        errors."""
+        """What a policy learns before its first observation: limits, cameras, compliance, and the arm's errors."""
         errors = self.protocol.arm_errors
         return Session(
             action_bounds=self.protocol.impedance.action_bounds,
@@ -291,7 +276,7 @@ class Episode:
         )
         self._perception = PerceptionLog(self.simulation.model, self._renderer)
         self._looks = Looks(card, dt_s=dt_s)
-        self._control = control_of(self.control, self, weights=self._weights) if self.control else _as_it_is
+        self._control = control_of(self.control, self, weights=self._weights) if self.control else None
         self._periods = steps_of_period(card.control_hz, dt_s)
         self._limit_steps = round(self.protocol.phases.time_limit_s / dt_s)
         return self._observe()
@@ -405,7 +390,8 @@ class Episode:
             if self._rated:
                 row["actions/look"] = flags(action.look)
             if demonstrated is not None:
-                row["actions/demonstrated"] = _demonstrated(demonstrated)
+                pose = demonstrated.pose_tcp_in_base
+                row["actions/demonstrated"] = np.append([np.nan] * 7 if pose is None else pose, demonstrated.done)
             if self._record:
                 self.log.add_action(self.simulation.time_s, row)
             self._run(next(self._periods), done=action.done)
@@ -522,7 +508,7 @@ class Episode:
         built = self._builder.build(
             self.simulation.data, instruction=self.instruction, sim_time_s=time_s, cameras=taking
         )
-        self._pending = self._control(built)
+        self._pending = built if self._control is None else self._control(built)
         return self._looks.completed(self._pending)
 
     def _advance(self, steps: int) -> Ended | None:
@@ -562,10 +548,8 @@ class Episode:
         return None
 
     def _unrecorded(self, samples: list[Samples]) -> Ended | None:
-        """Return how a trial ends after a period that is no measurement and is therefore not recorded; None after any
-        other: the solver diverged, or the tool was faster than a real robot allows, which stops itself at that moment
-        (libfranka calls this ``cartesian_velocity_violation``).
-        """
+        """How a trial ends after a period that is no measurement: the solver diverged, or the tool was faster than a
+        real robot allows, which then stops itself (libfranka's ``cartesian_velocity_violation``)."""
         if warnings := self.simulation.solver_warnings():
             return _stopped("solver", f"MuJoCo warning {', '.join(warnings)}")
         # A joint controller has limits of its own.
@@ -593,16 +577,6 @@ def _check(spec: object) -> None:
         raise ConfigError(f"TrialSpec.seed: expected an integer of at least 0, got {seed!r:.80}")
 
 
-def _as_it_is(observation: Observation) -> Observation:
-    return observation
-
-
-def _demonstrated(action: Action) -> np.ndarray:
-    """(8,) target and end of an action as a recording holds what a demonstrator chose; NaN without a target."""
-    pose = np.full(7, np.nan) if action.pose_tcp_in_base is None else action.pose_tcp_in_base
-    return np.append(pose, float(action.done))
-
-
 def _stopped(kind: str, message: str) -> Ended:
     """Return how a trial ends that the benchmark stops."""
     return Ended("safety_truncation", Failure(kind=kind, message=message))
@@ -611,15 +585,7 @@ def _stopped(kind: str, message: str) -> Ended:
 def first_look(
     protocol: Protocol, *, task_id: str, seed: int, card: PolicyCard, weights: Path | None = None, salt: str = ""
 ) -> Observation:
-    """Return the first observation of a trial, with the modalities and cameras of the card.
-
-    Args:
-        weights: folder with the weights of the protocol's segmenter.
-        salt: the secret of a salted run.
-
-    Raises:
-        SceneError, SettleError, DependencyError: as a trial does.
-    """
+    """Return the first observation of a trial, with the card's modalities and cameras; raises as a trial does."""
     spec = TrialSpec(protocol=protocol, task_id=task_id, seed=seed, policy=card.name, salt=salt)
     with Episode(spec, card=card, weights=weights) as episode:
         return episode.reset()

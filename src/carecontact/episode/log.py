@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.episode.foam import foam_arrays
 from carecontact.errors import PolicyError
+from carecontact.human.foam import FoamPatch
+from carecontact.interface.geometry import quat_from_matrix
 from carecontact.interface.observation import Observation
 from carecontact.recording.pictures import KEPT, PictureLog
 from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, SEGMENTS, empty_arrays
-from carecontact.scoring.foam import ENDS_S, FELT, SHARE
+from carecontact.scoring.foam import ENDS_S, FELT, SHARE, new_wiping, share_of_tool
+from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Samples, Settled, Simulation
 from carecontact.tissue.plugin import Cells, Law
 
@@ -53,10 +55,7 @@ BESIDE = {"scorer/beside_force_in_world": "beside_force", "scorer/beside_normal_
 
 
 class PersonLog:
-    """Collects what the person of a trial felt on the declared cells of its region, and how they moved on their own.
-    Every method returns arrays by their path: none of cells for a rigid region, and none of movements for a person who
-    never moves on their own.
-    """
+    """What the person felt on the region's cells, none on a rigid one, and how they moved on their own, if at all."""
 
     def __init__(self, simulation: Simulation, region: str) -> None:
         """Begin the first period now."""
@@ -64,9 +63,7 @@ class PersonLog:
         self._before = self._sums()
 
     def constants(self, settled: Settled) -> Arrays:
-        """Return what holds for the whole trial: the person's joints and regions, the compiled laws, the centres (C, 3)
-        [m] in the region's frame and the areas (C,) [m^2] of the cells, and the changes of posture as they were drawn.
-        """
+        """Return what holds for the whole trial."""
         scene = self._simulation.scene
         out = {
             "scorer/human_joint_range": self._simulation.joint_range.astype("<f8"),
@@ -79,7 +76,10 @@ class PersonLog:
             cells, frame = scene.regions[self._region].cells, scene.frames[self._region]
             out["scorer/cell_in_region"] = ((cells.centres - frame.origin) @ frame.axes).astype("<f4")
             out["scorer/cell_area_m2"] = cells.areas.astype("<f4")
-            out |= foam_arrays(scene.foam)
+            if (patch := scene.foam) is not None:
+                out["scorer/foam_pose_in_region"] = np.concatenate([patch.middle, quat_from_matrix(patch.axes)])
+                out["scorer/foam_half_m"] = np.array(patch.half_m, "<f8")
+                out[SHARE] = patch.cell_share.astype("<f4")
         if self._life is not None:
             moves = self._life.moves()
             out["scorer/repositioning_s"] = moves[:, 0].astype("<f8")
@@ -114,9 +114,7 @@ class PersonLog:
 
 
 def _own_law(simulation: Simulation) -> Arrays:
-    """Return the compiled laws if any differs from its row in the protocol, by the body's build or by the seed's
-    draw.
-    """
+    """Return the compiled laws if any differs from its row in the protocol: by the body's build or as drawn."""
     rows = simulation.protocol.person.tissue
     law = np.zeros((len(simulation.protocol.regions), len(fields(Law))))
     declared = law.copy()
@@ -127,17 +125,55 @@ def _own_law(simulation: Simulation) -> Arrays:
     return {} if np.array_equal(law, declared) else {"scorer/region_law": law.astype("<f8")}
 
 
+class Foam:
+    """The foam of one trial. It changes when the policy looks, and at no other time."""
+
+    def __init__(self, simulation: Simulation, target: int, constants: Arrays, renderer: SceneRenderer) -> None:
+        """Put all foam back onto a world at t = 0. ``target``: column of the named region's segment."""
+        self._model, self._patch, self._target = simulation.model, simulation.scene.foam, target
+        self._wiping, self._renderer = new_wiping(constants), renderer
+        self._before_s, self._touched = 0.0, False
+        if self._patch is not None:
+            self._shown = np.ones(len(self._patch.cell_share))
+            self._paint(self._patch)
+
+    @property
+    def present(self) -> bool:
+        """Whether there is any foam."""
+        return self._wiping is not None
+
+    def add(self, time_s: float, samples: list[Samples], felt: Arrays) -> None:
+        """Add the control period that ends at ``time_s``. ``felt``: what its row of the recording says of the cells."""
+        if self._wiping is None:
+            return
+        # As the recording holds them, so that the scorer finds the same from it.
+        mine = [(s.normal[:, self._target], s.beside_normal) for s in samples]
+        normal = np.concatenate([normal for normal, _ in mine]).astype(np.float32)
+        beside = [np.zeros((len(own), 2)) if b is None else b[..., self._target] for own, b in mine]
+        press, slip, touch = (felt[path].astype(np.float32).astype(np.float64) for path in FELT)
+        share = share_of_tool(normal, np.concatenate(beside).astype(np.float32))
+        period_s, self._before_s = time_s - self._before_s, time_s
+        self._touched |= self._wiping.add(period_s, press_ns=press, slip_m3=slip, touch_m2s=touch, tool_share=share)
+
+    def show(self) -> None:
+        """Paint what is left for the next pictures, where that has changed since the last look."""
+        if self._wiping is None or self._patch is None or not self._touched:
+            return
+        left, self._touched = self._wiping.left, False
+        if not np.array_equal(left, self._shown):
+            self._shown = left
+            self._paint(self._patch)
+
+    def _paint(self, patch: FoamPatch) -> None:
+        patch.paint(self._model, self._shown)
+        self._renderer.skin_changed()
+
+
 class TrialLog:
-    """Collects the streams of one trial in memory and turns them into a recording's arrays. ``arrays`` may be called at
-    any time."""
+    """Collects the streams of one trial in memory; ``arrays`` may be called at any time."""
 
     def __init__(self, *, human_joints: int, regions: int, constants: Mapping[str, npt.NDArray[Any]]) -> None:
-        """
-        Args:
-            human_joints: number of scored joints of the person.
-            regions: number of the protocol's regions.
-            constants: arrays that hold for the whole trial, by their path.
-        """
+        """``constants``: arrays that hold for the whole trial, by their path."""
         self._fixed = {**empty_arrays(human_joints, regions=regions), **constants}
         self._samples: list[Samples] = []
         self._rows: defaultdict[str, list[Any]] = defaultdict(list)
@@ -149,9 +185,7 @@ class TrialLog:
         """Optional arrays, by their path."""
 
     def add_period(self, samples: Sequence[Samples], row: Mapping[str, object]) -> None:
-        """Add the samples of one control period, and the values at its end: array path -> its row, with the same paths
-        in every period.
-        """
+        """Add the samples of a control period and its row (array path -> value), with the same paths every time."""
         self._samples.extend(samples)
         self._add(row)
 
@@ -167,12 +201,7 @@ class TrialLog:
     def add_observation(
         self, observation: Observation, sent_sha256: bytes, *, looked: npt.NDArray[np.uint8] | None = None
     ) -> None:
-        """Add the time of an observation, which holds its new views only.
-
-        Args:
-            sent_sha256: 32 bytes, the digest of the message that carried it.
-            looked: (V,) 1 for each camera that took a view; None where every camera does for every observation.
-        """
+        """Add an observation, which holds new views only. ``looked``: (V,) which cameras took one; None: all."""
         self.add_frames(observation)
         self._observations += 1
         digest = np.frombuffer(sent_sha256, "u1")
@@ -181,20 +210,15 @@ class TrialLog:
             self._add({"policy/looked": looked})
 
     def add_frames(self, observation: Observation) -> None:
-        """Keep the images of the next observation. If the policy fails at that step, they are all that is kept of
-        it.
-        """
+        """Keep the images of the next observation: all that is kept of it if the policy fails at that step."""
         for name, view in observation.cameras.items():
             for modality in KEPT:
                 if (picture := getattr(view, modality)) is not None:
                     self._pictures.add(self._observations, name, modality, picture)
 
     def add_notes(self, notes: Mapping[str, object], *, failed: bool = False) -> None:
-        """Keep the policy's notes on its latest step. ``failed``: whether the policy failed at that step.
-
-        Raises:
-            PolicyError: ``oversize`` for too many entries, arrays or bytes; ``garbage`` for what JSON cannot hold.
-        """
+        """Keep the notes on the latest step. Raises PolicyError for too many entries or bytes, or for what JSON cannot
+        hold."""
         if not notes:
             return
         if len(notes) > MAX_STEP_NOTES:
@@ -217,9 +241,7 @@ class TrialLog:
         self.extra |= {**arrays, f"{place}/json": np.frombuffer(text, "u1")}
 
     def add_action(self, time_s: float, row: Mapping[str, object]) -> None:
-        """Add the action that became the target at ``time_s``. ``row``: array path -> its row, with the same paths at
-        every action of a trial.
-        """
+        """Add the action that became the target at ``time_s``, with the same paths at every action of a trial."""
         self._add({"actions/time_s": time_s, "actions/observation_index": self._observations - 1, **row})
 
     def _add(self, row: Mapping[str, object]) -> None:

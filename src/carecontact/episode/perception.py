@@ -15,7 +15,8 @@ from carecontact.interface.body_view import region_from_observation
 from carecontact.interface.observation import CameraView, Observation
 from carecontact.interface.policy import CAMERAS
 from carecontact.interface.regions import REGIONS, LimbSight, TrunkSight
-from carecontact.recording.notes import ARRAYS, JOINTS
+from carecontact.recording.notes import JOINTS, PERCEPTION
+from carecontact.recording.schema import OPTIONAL_ARRAYS
 from carecontact.sim.close_up import render_close_up, skin_shift
 from carecontact.sim.rendering import SceneRenderer, TrueView
 from carecontact.sim.simulation import Simulation
@@ -36,9 +37,7 @@ heaviest bodies lies 0.14 m deep."""
 
 
 class PerceptionLog:
-    """Measures a trial's perception against the simulator's truth, hidden from the policy: collects rows for
-    ``recording.notes``. It renders each camera once for observations with landmarks or masks.
-    """
+    """Measures perception against the simulator's truth, hidden from the policy: rows for ``recording.notes``."""
 
     def __init__(self, model: mujoco.MjModel, renderer: SceneRenderer) -> None:
         self._model, self._renderer, self._robot = model, renderer, Proprioception(model, renderer.protocol.scene.robot)
@@ -68,8 +67,8 @@ class PerceptionLog:
         """Return the arrays by their path; none if no row was added."""
         if not self._rows:
             return {}
-        columns = {path: [row[path.partition("/")[2]] for row in self._rows] for path in ARRAYS}
-        return {path: np.array(columns[path], np.dtype(dtype)) for path, (dtype, _, _) in ARRAYS.items()}
+        columns = {path: [row[path.partition("/")[2]] for row in self._rows] for path in PERCEPTION}
+        return {path: np.array(column, OPTIONAL_ARRAYS[path][0]) for path, column in columns.items()}
 
     def joints_in_base(self, data: mujoco.MjData) -> dict[str, F64]:
         """Return the true centre (3,) [m] of each of JOINTS in the robot's base."""
@@ -108,9 +107,7 @@ def _finds_targets(view: CameraView) -> bool:
 def landmark_error_px(
     view: CameraView, joints_in_base: dict[str, F64], pose_camera_in_base: F64, truth: TrueView
 ) -> tuple[Bool, F32]:
-    """Return (12,) whether the camera truly sees each joint's limb at its place, and the errors (12,) [px] of the
-    landmarks, NaN where it does not.
-    """
+    """Return (12,) whether the camera truly sees each joint's limb, and errors (12,) of landmarks [px]; NaN unseen."""
     height, width = truth.human.shape
     visible, error = np.zeros(len(JOINTS), bool), np.full(len(JOINTS), np.nan, np.float32)
     for row, (name, index) in enumerate(JOINTS.items()):
@@ -134,9 +131,7 @@ def iou(found: Bool, true: Bool) -> float:
 
 
 def middle_share(model: mujoco.MjModel, region: str) -> float:
-    """Return the share of a limb's line at which the middle of its region lies; 0 for a region that is not on a
-    limb.
-    """
+    """Return the share of a limb's line at which the middle of its region lies; 0 for a region on no limb."""
     row = REGIONS[region]
     if not isinstance(row.sight, LimbSight):
         return 0.0
@@ -173,9 +168,7 @@ MARGIN_M = (0.08, 0.06, 0.06)
 
 
 class Peak:
-    """Remembers the moment of a trial that its report shows: the state with the largest force on the target; while the
-    target has not been touched, on any segment.
-    """
+    """The state of a trial with the largest force on the target; until the target is touched, on any segment."""
 
     def __init__(self, simulation: Simulation, *, target: int) -> None:
         """``target``: column of the target's segment in the forces."""
@@ -194,10 +187,7 @@ class Peak:
             self._time_s, self._state = self._simulation.time_s, self._simulation.integration_state()
 
     def pictures(self, renderer: SceneRenderer, *, region: str) -> Mapping[str, npt.NDArray[Any]]:
-        """Return the pictures of the room and of the contact from near, and the region's skin, as ``report/*``.
-
-        They show the peak, or the end of a trial without contact.
-        """
+        """Return ``report/*`` of the peak, or of the end of a trial without contact."""
         model = self._simulation.model
         data = mujoco.MjData(model)
         state = self._simulation.integration_state() if self._state is None else self._state

@@ -114,11 +114,7 @@ def placed_person(protocol: Protocol, seed: int, *, salt: str = "") -> PlacedPer
 
 
 def _search(protocol: Protocol, variations: Sequence[Variation], seed: int, salt: str) -> Arrays:
-    """Search a seed's person and bases: the arrays of the person, and ``found``, a JSON text.
-
-    It has ``rejected``, the region and the refusals of each person before, and ``levels``: for each variation the
-    place, the yaw and the refusals of the base of each region. ``levels`` is empty if no person suits.
-    """
+    """``found`` has the region and refusals of each rejected person, and the base of each region for each variation."""
     rejected: list[tuple[str, list[Refusal]]] = []
     for number in range(MOST_PERSONS):
         posture = posture_of(protocol, seed, salt, number)
@@ -142,9 +138,7 @@ def _search(protocol: Protocol, variations: Sequence[Variation], seed: int, salt
 def _bases(
     protocol: Protocol, variations: Sequence[Variation], seed: int, salt: str, laid: LyingPerson, posture: Posture
 ) -> Iterator[tuple[int, tuple[str, Base | None, list[Refusal]]]]:
-    """Yield, for each variation and each region, the first base drawn that serves, or None, and why each draw before it
-    was refused.
-    """
+    """Yield, for each variation and region, the first base that serves, or None, and why those before were refused."""
     for level, variation in enumerate(variations):
         check = PlacementCheck(protocol.model_copy(update={"variation": variation}), seed, salt, laid, posture)
         for region in protocol.regions:
@@ -176,9 +170,7 @@ def _still(protocol: Protocol) -> Protocol:
 
 
 def _variations(protocol: Protocol) -> list[Variation]:
-    """Return the variations of this level and of all levels that park the robot, each once, reduced to the fields that
-    decide about bases.
-    """
+    """Return the distinct variations of all levels that park the robot, reduced to fields that decide about bases."""
     every = [*(level.variation for level in protocol.levels.values()), protocol.variation]
     found = [_decisive_part(variation) for variation in every if variation.parking is not None]
     return [variation for number, variation in enumerate(found) if variation not in found[:number]]
@@ -246,11 +238,8 @@ MOST_REFUSED = 40
 
 @plain_figures()
 def draw_map(path: Path, rows: Sequence[tuple[Protocol, Sequence[PlacementSurvey]]]) -> None:
-    """Write a PNG or SVG picture of the bed from above, by the file's name, with one row of panels for each level.
-
-    The left panel shows where the people lie and the places that serve, the right one the places that were refused
-    beside the same people.
-    """
+    """Draw the bed from above, a row for each level: on the left people and bases that serve, on the right refused
+    bases."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 5.6 * len(rows)), layout="constrained")

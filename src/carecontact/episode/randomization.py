@@ -69,10 +69,8 @@ def drawn_facts(protocol: Protocol, place: Place, force_bias_n: np.ndarray) -> d
 
 
 def drawn(spec: TrialSpec) -> Drawn:
-    """Draw body, posture, place, base of the robot and overhead camera from the seed of a trial.
-
-    Raises SceneError where no person of the seed suits the robot (``placed_person``).
-    """
+    """Draw the protocol's world from the seed of a trial. Raises SceneError where no person of the seed suits the
+    robot."""
     return draw(spec.protocol, region=spec.protocol.task(spec.task_id).region, seed=spec.seed, salt=spec.salt)
 
 
@@ -111,11 +109,8 @@ def without_draws(protocol: Protocol) -> Protocol:
 
 
 def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
-    """Give a compiled scene the appearance and light that its protocol varies with the seed, and its distractors; the
-    physics is unchanged.
-
-    Call it once, before the first image.
-    """
+    """Change appearance, light and distractors of a compiled scene, but no physics. Call it once, before the first
+    image."""
     protocol, stream = scene.protocol, streams(scene.protocol, seed, salt)
     if protocol.variation.appearance == "varied-v1":
         set_appearance(scene.model, scene.body, draw_appearance(stream["appearance"]))
@@ -132,11 +127,7 @@ def randomize_appearance(scene: Scene, seed: int, *, salt: str = "") -> None:
 
 
 def with_foam(scene: Scene, task_id: str, seed: int, *, salt: str = "") -> Scene:
-    """Return a compiled scene with the foam that the protocol puts on the skin for a task, if any; the physics is
-    unchanged.
-
-    Call it once, after ``randomize_appearance``.
-    """
+    """Return a scene with the task's foam, if any. Call it once, after ``randomize_appearance``."""
     spot = spot_of(scene.protocol, task_id, seed, salt)
     if spot is None:
         return scene
@@ -146,20 +137,13 @@ def with_foam(scene: Scene, task_id: str, seed: int, *, salt: str = "") -> Scene
 
 
 def set_place(scene: Scene, place: Place) -> None:
-    """Put the person of a compiled scene at the place of the seed's draw (``drawn``).
-
-    Call it once, before the person settles.
-    """
+    """Move the person of a compiled scene. Call it once, before the person settles."""
     if place != UNMOVED:
         move_person(scene.model, place)
 
 
 def randomize_tissue(simulation: Simulation, seed: int, *, salt: str = "") -> None:
-    """Give the soft regions of a settled world the stiffness that its protocol varies with the seed.
-
-    Call it once. Nothing touches a soft region while the person settles, so that the stiffness does not change how
-    the person lies.
-    """
+    """Change the stiffness of the soft regions, once. Nothing touches them while the person settles."""
     scene = simulation.scene
     if scene.protocol.variation.tissue == "published-v1":
         rows = {name: region.tissue for name, region in scene.regions.items()}
@@ -183,10 +167,8 @@ def calibration(protocol: Protocol, seed: int, *, salt: str = "") -> Calibration
 
 
 def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: str = "") -> SensorNoise:
-    """Return the sensor noise of one trial, which changes nothing if the protocol names no noise.
-
-    ``noise_salt``: the trial's own. Without it, and without a ``salt``, the noise would reveal the seed.
-    """
+    """Return a trial's sensor noise. Without the trial's ``noise_salt`` and without a ``salt``, it would reveal the
+    seed."""
     key = streams(protocol, seed, salt)["sensor_noise"].integers(2**32, size=4).tolist()
     if noise_salt:
         # A hash works one way: not even the whole noise of a trial reveals salt or seed.
@@ -195,12 +177,7 @@ def sensor_noise(protocol: Protocol, seed: int, *, salt: str = "", noise_salt: s
 
 
 def settle(simulation: Simulation, comfort_arm_deg: float, *, model_sha256: str) -> Settled:
-    """Settle the person, or load what ``simulation.settle`` gave before for the same model and angle. Raises
-    SettleError as it does.
-
-    Args:
-        model_sha256: of the scene before anything was changed in it.
-    """
+    """Settle the person, or load how they settled before. ``model_sha256``: of the scene before any change in it."""
     protocol = simulation.protocol
     facts = {
         "model": model_sha256,
@@ -232,16 +209,7 @@ World = tuple[Simulation, Settled, str]
 
 
 def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = "") -> World:
-    """Build the task's world as the seed draws it, let the person settle, and give it the tissue and the movements that
-    the protocol varies with the seed. The simulation's protocol is the drawn one (``Drawn.protocol``).
-
-    Args:
-        salt: the trial's secret (``TrialSpec.salt``).
-
-    Raises:
-        SceneError: the world cannot be built, or no person of the seed suits the robot.
-        SettleError: the person does not come to rest.
-    """
+    """Build the task's world as the seed draws it, up to t = 0; its protocol is the drawn one. Raises SceneError."""
     region = protocol.task(task_id).region
     drawn = draw(protocol, region=region, seed=seed, salt=salt)
     scene = replace(build_scene(drawn.protocol, target=region), place=drawn.place)
@@ -259,11 +227,8 @@ def settled_world(protocol: Protocol, *, task_id: str, seed: int, salt: str = ""
 
 
 def under_control(simulation: Simulation, control: Control) -> tuple[Simulation, str]:
-    """Put the robot of a world at t = 0 under a joint control, without another settling.
-
-    Returns:
-        The simulation of the world with that control, in the same state, and the sha256 of its model.
-    """
+    """Put the robot of a world at t = 0 under a joint control; return that world in the same state, and its model's
+    hash."""
     scene = controlled(simulation.scene, control)
     model_sha256 = scene.model_sha256
     copy_settings(simulation.model, scene.model)

@@ -38,10 +38,8 @@ class KeptWorld:
 
 
 class Worlds:
-    """The worlds of one process that no episode uses now: the ``most`` that were used last.
-
-    Give one object to all episodes of a process. Two episodes of the same trial at the same time get two worlds.
-    """
+    """The worlds of one process that no episode uses now, the ``most`` that were used last. Give one object to all its
+    episodes; two of the same trial at once get two worlds."""
 
     def __init__(self, most: int = MOST_KEPT, *, prepare: Callable[[TrialSpec], World] | None = None) -> None:
         """
@@ -56,7 +54,9 @@ class Worlds:
         if not isinstance(given, int) or given < 0:
             raise ConfigError(f"Worlds.most: expected an integer of at least 0, got {given!r:.80}")
         self.most = most
-        self._prepare = prepare or _settled
+        self._prepare = prepare or (
+            lambda spec: settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)
+        )
         self._kept: OrderedDict[Key, KeptWorld] = OrderedDict()
 
     def __len__(self) -> int:
@@ -65,15 +65,8 @@ class Worlds:
     def take(
         self, spec: TrialSpec, control: str = CARTESIAN_IMPEDANCE, *, instead_of: KeptWorld | None = None
     ) -> KeptWorld:
-        """Return the world of a trial at t = 0; no other episode gets it before it is given back.
-
-        Args:
-            control: name from CONTROLS.
-            instead_of: a world that was taken, which this one replaces, if it is not the same.
-
-        Raises:
-            SceneError, SettleError: the world cannot be built; ``instead_of`` is then still taken.
-        """
+        """Return a trial's world at t = 0, for one episode until it is given back. It replaces ``instead_of``, which is
+        still taken where building fails (SceneError, SettleError)."""
         key = _key(spec, control)
         if instead_of is not None and instead_of.key == key:
             instead_of.put_back()
@@ -90,9 +83,7 @@ class Worlds:
         return taken
 
     def _under_control(self, key: Key, spec: TrialSpec, other: KeptWorld | None) -> tuple[KeptWorld, KeptWorld | None]:
-        """Return a world under a joint control, made of one under the Cartesian impedance, and what is left of
-        ``other``: nothing if it was that world.
-        """
+        """Return a world made of one under the Cartesian impedance, and what is left of ``other``."""
         free = other
         if free is None or free.key != _key(spec, CARTESIAN_IMPEDANCE):
             free = self.take(spec)
@@ -117,7 +108,3 @@ class Worlds:
 
 def _key(spec: TrialSpec, control: str) -> Key:
     return spec.protocol.sha256, spec.task_id, spec.seed, spec.salt, control
-
-
-def _settled(spec: TrialSpec) -> World:
-    return settled_world(spec.protocol, task_id=spec.task_id, seed=spec.seed, salt=spec.salt)

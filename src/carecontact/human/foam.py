@@ -199,8 +199,7 @@ def _radius(points: Array, middle: Array, axes: Array, half_m: tuple[float, floa
 
 
 def _texels_near(body: Body, middle: Array, reach_m: float) -> tuple[Indices, Array]:
-    """Return the texels (K,) of the skin within a distance of a point (3,), and their places (K, 3), all in the mesh
-    frame."""
+    """Return the texels (K,) of the skin near a point (3,), and their places (K, 3), in the mesh frame."""
     corners = body.vertices[body.faces]
     near = np.flatnonzero(np.linalg.norm(corners - middle, axis=2).min(1) < reach_m + 0.03)
     found: list[tuple[Indices, Array, Array]] = []

@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from carecontact.human.body import Array, Body
 
-Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 
-def graded(low: float, high: float, spacing: Callable[[Floats], Floats]) -> Floats:
+def graded(low: float, high: float, spacing: Callable[[Array], Array]) -> Array:
     """Return coordinates from ``low`` to ``high``, both included, nowhere farther apart than ``spacing`` allows.
 
     Args:
@@ -26,7 +25,7 @@ def graded(low: float, high: float, spacing: Callable[[Floats], Floats]) -> Floa
     return np.interp(np.arange(count + 1) / count * steps[-1], steps, fine)
 
 
-def graded_from_middle(half_width: float, spacing: Callable[[Floats], Floats], *, half_step: bool) -> Floats:
+def graded_from_middle(half_width: float, spacing: Callable[[Array], Array], *, half_step: bool) -> Array:
     """Return coordinates from ``-half_width`` to ``half_width``, symmetric, so that the rows of a lattice fit at its
     middle.
 
@@ -42,18 +41,18 @@ def graded_from_middle(half_width: float, spacing: Callable[[Floats], Floats], *
     return np.concatenate([-side[::-1], side if half_step else side[1:]])
 
 
-def _step_count(low: float, high: float, spacing: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
+def _step_count(low: float, high: float, spacing: Callable[[Array], Array]) -> tuple[Array, Array]:
     """Return fine coordinates, and for each the number of steps of the wanted width before it."""
     fine = np.linspace(low, high, 2001)
     middle = (fine[1:] + fine[:-1]) / 2
     return fine, np.concatenate([[0.0], np.cumsum(np.diff(fine) / spacing(middle))])
 
 
-def distance_outside(u: Floats, half_width: float) -> Floats:
+def distance_outside(u: Array, half_width: float) -> Array:
     return np.maximum(np.abs(u) - half_width, 0.0)
 
 
-def zip_rows(rows: list[Floats]) -> Indices:
+def zip_rows(rows: list[Array]) -> Indices:
     """Return triangles (M, 3) between neighbouring rows of points (n_i, 3), which may differ in length.
 
     Between two rows, from first to last points, the row with the shorter next diagonal advances.
@@ -72,7 +71,7 @@ def zip_rows(rows: list[Floats]) -> Indices:
     return np.array(triangles)
 
 
-def normals_and_areas(vertices: Floats, triangles: Indices) -> tuple[Floats, Floats]:
+def normals_and_areas(vertices: Array, triangles: Indices) -> tuple[Array, Array]:
     """Return the vertices' unit normals (N, 3), by the triangles' winding, and shares (N,) of the area [m^2]."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
@@ -84,8 +83,8 @@ def normals_and_areas(vertices: Floats, triangles: Indices) -> tuple[Floats, Flo
 
 
 def smooth_field(
-    u: Floats, v: Floats, values: Floats, *, sigma: tuple[float, float], wrap: bool
-) -> Callable[[float | Floats, Floats], Floats]:
+    u: Array, v: Array, values: Array, *, sigma: tuple[float, float], wrap: bool
+) -> Callable[[float | Array, Array], Array]:
     """Return a smooth function of (u, v) from values on a regular grid, blurred by a Gaussian.
 
     Args:
@@ -101,7 +100,7 @@ def smooth_field(
 
     width = [s * (n - 1) for s, n in zip(sigma, values.shape, strict=True)]
 
-    def reflected(a: Floats, count: int) -> Floats:
+    def reflected(a: Array, count: int) -> Array:
         return np.concatenate([2 * a[:1] - a[count:0:-1], a, 2 * a[-1:] - a[-2 : -count - 2 : -1]])
 
     count = min(len(u) - 1, int(np.ceil(4 * width[0])) + 1)
@@ -116,7 +115,7 @@ def smooth_field(
     return lambda at_u, at_v: spline.ev(np.broadcast_to(at_u, np.shape(at_v)), at_v)
 
 
-def bridged(u: Floats, v: Floats, heights: Floats, radius_m: float) -> Floats:
+def bridged(u: Array, v: Array, heights: Array, radius_m: float) -> Array:
     """Return heights (len(u), len(v)) [m] of the surface as a rolling ball of this radius sees it: a grey closing.
 
     Args:

@@ -93,10 +93,10 @@ def _trunk_supports(body: Body, side: str) -> tuple[Array, Array]:
     return buttock, _back_of(trunk, np.array([sign * 0.09, 0, j[f"{side}_upper_arm"][2] - 0.06]))
 
 
-def _back_of(points: Array, near: Array, radius: float = 0.04) -> Array:
+def _back_of(points: Array, near: Array) -> Array:
     """Return the rearmost surface point near a point, by distance across the body's front-back axis."""
     distance = np.hypot(points[:, 0] - near[0], points[:, 2] - near[2])
-    close = points[distance < radius] if (distance < radius).any() else points[[distance.argmin()]]
+    close = points[distance < 0.04] if (distance < 0.04).any() else points[[distance.argmin()]]
     return np.array([near[0], close[:, 1].max(), near[2]])
 
 

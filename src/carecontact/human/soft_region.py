@@ -54,18 +54,14 @@ GROWTH = {
 """Region -> its growth. Any other region has the thickness and the law of its row on every body."""
 
 
-def rounded_bmi(body: Body) -> float:
-    """Return the body mass index [kg/m^2] rounded to a tenth, as rows of tissue name it."""
-    return round(body.bmi, 1)
-
-
 def tissue_of(body: Body, region: str, row: Tissue) -> Tissue:
     """Return the tissue of a region on a body: the row itself if it is for this build or names none.
 
     The thickness changes and scales the law by one factor at every depth, so that it stays convex. The damping keeps
     its ratio to critical damping. The depth to which the law was measured is unchanged.
     """
-    if row.bmi_kg_m2 is None or region not in GROWTH or row.bmi_kg_m2 == (bmi := rounded_bmi(body)):
+    # Rows of tissue name the index rounded to a tenth.
+    if row.bmi_kg_m2 is None or region not in GROWTH or row.bmi_kg_m2 == (bmi := round(body.bmi, 1)):
         return row
     growth = GROWTH[region]
     own, theirs = (float(np.clip(value, LEAST_BMI, MOST_BMI)) for value in (bmi, row.bmi_kg_m2))

@@ -38,7 +38,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 TRAINED = re.compile(r"[0-9a-f]{64}|[A-Za-z0-9._-]{1,80}:[0-9]{1,9}(-[0-9]{1,9})?(,[0-9]{1,9}(-[0-9]{1,9})?){0,99}")
 """An entry of a card's ``trained_on``."""
 LOOK_CONTROLS = ("shuffled-look", "frozen-look", "no-touch")
-"""Controls of what a policy observes (``episode.controls``)."""
+"""Controls of what a policy observes (``episode.looks``)."""
 VARIANT = re.compile(r"\+(shuffled-look|frozen-look|no-touch|dagger|noise-[1-9][0-9]?mm)$")
 """What may follow a policy's name in results: a control, or how demonstrations were made with it (``oracle.teaching``).
 The same policy with another variant is another policy."""

@@ -7,9 +7,8 @@ try:
 except ImportError:
     raise DependencyError("carecontact.learn needs gymnasium: pip install 'carecontact[learn]'") from None
 
-from carecontact.learn.bathing import LEVELS, TASKS, Bathing, BathingState
+from carecontact.learn.bathing import LEVELS, TASKS, Bathing, BathingState, make_vec
 from carecontact.learn.persons import TRAINING_SALT
-from carecontact.learn.vector import make_vec
 
 __all__ = ["LEVELS", "TASKS", "TRAINING_SALT", "Bathing", "BathingState", "make_vec"]
 

@@ -100,7 +100,6 @@ class _Motion:
         self._truth, self._follower, self._targets = truth, Follower(truth), targets
 
     def act(self) -> Action:
-        """Return the target for the next control period."""
         return Action(pose_tcp_in_base=next(self._targets))
 
 
@@ -278,7 +277,6 @@ class Oracle:
         self._notes: dict[str, object] = {}
 
     def act(self, observation: Observation) -> Action:
-        """Return the target for the next control period."""
         return self.target(observation.pose_tcp_in_base, observation.sim_time_s)
 
     def target(self, tool: F64, time_s: float) -> Action:
@@ -361,8 +359,7 @@ def _at_foam(spot: Foamed, action: str) -> list[Leg]:
     middle, clear = spot.surface(np.zeros(2)), fixed.HOVER_M * spot.out()
     quat = radial_quat(middle)
     if action == "touch":
-        down = Leg.to(middle, quat, fixed.DESCENT_SPEED_M_S, hold_s=fixed.TOUCH_DWELL_S)
-        return [Leg.to(middle + clear, quat, FREE_SPEED_M_S), down, Leg.to(middle + clear, quat, NEAR_SPEED_M_S)]
+        return fixed.touch_at(middle, quat, spot.out(), 0.0, fixed.DESCENT_SPEED_M_S)
     half = spot.half_m[0] - REACH_M
     along = np.linspace(-half, half, 2 * int(np.ceil(half / fixed.SCRUB_STEP_M)) + 1)
     legs, way = list[Leg](), 1

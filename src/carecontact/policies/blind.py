@@ -7,7 +7,7 @@ import logging
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -43,8 +43,7 @@ class ZeroAction:
         """Ignore the instruction."""
 
     def act(self, observation: Observation) -> list[Action]:
-        """Return 30 actions that keep the last target: at 1 Hz, half a minute, which is a usual trial."""
-        return [Action()] * 30
+        return [Action()] * 30  # At 1 Hz, half a minute, which is a usual trial.
 
 
 CAMERA = "overhead"
@@ -69,7 +68,6 @@ class RandomTargets:
         self._session = session
 
     def reset(self, instruction: str) -> None:
-        """Keep the instruction: it seeds the random numbers."""
         self._instruction = instruction
 
     def act(self, observation: Observation) -> list[Action]:
@@ -123,10 +121,7 @@ class Hover:
             return [Action(done=True)]
 
     def way(self, observation: Observation, *, hold_s: float = HOLD_S) -> list[Leg]:
-        """Return the way over the region, where it waits for ``hold_s`` [s], and up again.
-
-        Raises PerceptionFailure if the region is not found, ContractError if ``reset`` was not called before.
-        """
+        """Return the way over the region, where it waits for ``hold_s`` [s], and up. Raises PerceptionFailure."""
         if self._place is None:
             raise ContractError("act() was called before reset()")
         region, side = self._place
@@ -165,7 +160,6 @@ class FeintAndWait:
             self._base.configure(session)
 
     def reset(self, instruction: str) -> None:
-        """Begin again. Raises LanguageError if the policy or ``hover`` does not understand the instruction."""
         self._began = False
         self._hover.reset(instruction)
         self._base.reset(instruction)
@@ -183,7 +177,6 @@ class FeintAndWait:
         return [*feint, *[Action()] * round(WAIT_S * CONTROL_HZ)]
 
     def take_notes(self) -> dict[str, object]:
-        """Return the notes of the policy that acts."""
         return self._base.take_notes() if self._began and hasattr(self._base, "take_notes") else {}
 
 
@@ -191,8 +184,7 @@ def _policy(name: str) -> Any:
     usable = [n for n, row in POLICIES.usable().items() if row.role != "privileged" and n != "feint-and-wait"]
     if name not in usable:
         raise ConfigError(f"base: no policy {name!r} that could act after a feint; valid: {', '.join(usable)}")
-    module, _, cls = POLICIES[name].target.partition(":")
-    base = getattr(import_module(module), cls)()
+    base = resolve_name(POLICIES[name].target)()
     if base.card.control_hz != CONTROL_HZ or base.card.action_space != "cartesian_pose":
         raise ConfigError(
             f"base: {name} does not send poses of the tool at {CONTROL_HZ:g} Hz, at which the feint moves"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +22,7 @@ from carecontact.policies.pressing import (
     HELD_N,
     Felt,
     Motion,
+    Part,
     along,
     away,
     end,
@@ -33,9 +33,6 @@ from carecontact.policies.pressing import (
 from carecontact.policies.state_machine import CAMERA, HOVER_M, StateMachine
 
 F64 = npt.NDArray[np.float64]
-T = TypeVar("T")
-Part = Generator[Sequence[Action], Observation, tuple[T, Observation]]
-"""A part of a motion, which returns the last observation beside its result."""
 
 SETTLES_S = 0.9
 """Three time constants of the impedance: the tool rests over the skin then, whatever the arm's friction."""
@@ -79,19 +76,16 @@ class LookAndPress(StateMachine):
     """
 
     def __init__(self, *, language: str | LanguageBackend = Rules.name, record: Path | None = None) -> None:
-        """The arguments and errors are those of ``StateMachine``."""
         super().__init__(language=language, record=record)
         # The force leads the tool out of a way that was planned inside of the workspace.
         self.card = replace(self.card, name="look-and-press", camera_hz={CAMERA: 0.0}, out_of_bounds="clip")
         self._limit_s, self._motion = np.inf, None
 
     def configure(self, session: Session) -> None:
-        """Take over the workspace bounds and the time limit."""
         super().configure(session)
         self._limit_s = session.time_limit_s
 
     def reset(self, instruction: str) -> None:
-        """Read the instruction. Raises LanguageError if the backend does not understand it."""
         super().reset(instruction)
         self._motion: Motion | None = None
         self._own: tuple[float, float] | None = None
@@ -171,5 +165,5 @@ class LookAndPress(StateMachine):
                 found.append(felt.newtons(seen))
             means.append(float(np.mean(found[TARES])))
         bias_n, friction_n = (means[0] + means[1]) / 2, (means[0] - means[1]) / 2
-        most = MOST_OWN_N
-        return (float(np.clip(bias_n, -most, most)), float(np.clip(friction_n, 0.0, most))), seen
+        own = np.clip([bias_n, friction_n], [-MOST_OWN_N, 0.0], MOST_OWN_N)
+        return (float(own[0]), float(own[1])), seen

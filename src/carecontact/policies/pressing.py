@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +17,11 @@ from carecontact.policies.motion import CONTROL_HZ, NEAR_SPEED_M_S, UP, Leg, sam
 from carecontact.policies.state_machine import HOVER_M
 
 F64 = npt.NDArray[np.float64]
+T = TypeVar("T")
 Motion = Generator[Sequence[Action], Observation]
 """Yields chunks of actions, and takes the observation after each."""
+Part = Generator[Sequence[Action], Observation, tuple[T, Observation]]
+"""A part of a motion, which returns the last observation beside its result."""
 
 FORCE_N = 3.0
 """As the oracle presses."""

@@ -58,17 +58,17 @@ SHIPPED = {
         description="Blind baseline: the state machine's motions on the average person, without a picture.",
     ),
     "mean-person-hybrid": PolicyRow(
-        target="carecontact.policies.mean_person_force:MeanPersonHybrid",
+        target="carecontact.policies.mean_person:MeanPersonHybrid",
         role="blind",
         description="Blind baseline: mean-person that presses with 3 N of feedforward, without stiffness that way.",
     ),
     "mean-person-estimated": PolicyRow(
-        target="carecontact.policies.mean_person_force:MeanPersonEstimated",
+        target="carecontact.policies.mean_person:MeanPersonEstimated",
         role="blind",
         description="Blind baseline: mean-person that holds a force which it estimates from the encoders.",
     ),
     "mean-person-search": PolicyRow(
-        target="carecontact.policies.mean_person_force:MeanPersonSearch",
+        target="carecontact.policies.mean_person:MeanPersonSearch",
         role="blind",
         description="Blind baseline: mean-person-estimated that feels for the region at up to five places.",
     ),

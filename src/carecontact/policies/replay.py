@@ -102,14 +102,14 @@ class Replay:
 
     def reset(self, instruction: str) -> None:
         """Choose the recording. Raises ContractError for an instruction that is like none that was recorded."""
-        name = instruction if instruction in self._donors else self._alike(instruction)
-        if name is None:
+        if (name := self._alike(instruction)) is None:
             valid = ", ".join(sorted(self._donors))
             raise ContractError(f"{self.card.name} has no actions for the instruction {instruction!r}; valid: {valid}")
         self._donor = self._donors[name]
 
     def _alike(self, instruction: str) -> str | None:
-        """Return the recorded instruction with the same intent; None where there is none, or no intent."""
+        if instruction in self._donors:
+            return instruction
         rules = Rules()
         with suppress(LanguageError):
             wanted = rules.parse(instruction)
@@ -117,7 +117,6 @@ class Replay:
         return None
 
     def act(self, observation: Observation) -> Sequence[Action]:
-        """Return all recorded actions as one chunk, of which the last one ends the trial."""
         return self._donor.chunk()
 
 
@@ -130,5 +129,4 @@ class ReplayRegistered(Replay):
     card = PolicyCard(name="replay-registered", cameras=(CAMERA,), control_hz=CONTROL_HZ, out_of_bounds="clip")
 
     def act(self, observation: Observation) -> Sequence[Action]:
-        """Return the actions relative to where the camera stands now."""
         return self._donor.seen_from(observation.cameras[CAMERA].pose_camera_in_base).chunk()

@@ -20,8 +20,7 @@ from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.regions import REGIONS
 from carecontact.interface.robot import ActionBounds, Session
-from carecontact.policies.foam import FoamSeen, find_foam, names_foam, strokes
-from carecontact.policies.hold import holds
+from carecontact.policies.foam import FoamSeen, find_foam, holds, names_foam, strokes
 from carecontact.policies.language.backend import Intent, LanguageBackend, LanguageModel, Option, Rules
 from carecontact.policies.language.live import transcript_of
 from carecontact.policies.motion import (
@@ -152,11 +151,11 @@ def scrub(geometry: RegionGeometry, *, key_point: float, depth_m: float, speed_m
 def wipe(foam: FoamSeen, quat: F64, out: F64, depth_m: float, speed_m_s: float) -> list[Leg]:
     """Move down at one end of the foam, to and fro along it in lanes side by side, and up, held as in ``touch_at``."""
     ways = [way - depth_m * out for lane in strokes(foam) for way in lane]
-    first, last = ways[0][0], ways[-1][-1]
+    first, last, hold = ways[0][0], ways[-1][-1], SCRUB_END_DWELL_S
     return [
         Leg.to(first + (depth_m + HOVER_M) * out, quat, FREE_SPEED_M_S),
-        Leg.to(first, quat, DESCENT_SPEED_M_S, hold_s=SCRUB_END_DWELL_S),
-        *(Leg(points=way, quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=SCRUB_END_DWELL_S) for way in ways),
+        Leg.to(first, quat, DESCENT_SPEED_M_S, hold_s=hold),
+        *(Leg(points=way, quat_wxyz=quat, speed_m_s=speed_m_s, hold_s=hold) for way in ways),
         Leg.to(last + (depth_m + HOVER_M) * out, quat, NEAR_SPEED_M_S),
     ]
 
@@ -266,20 +265,21 @@ def candidates(
 
 
 def _options(geometry: RegionGeometry) -> Iterator[tuple[Option, list[Leg]]]:
-    for key, depth, speed in product(TOUCH_KEY_POINTS, TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
-        motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
+    for motion in _motions(TOUCH_KEY_POINTS, TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
         yield Option(primitive="touch", approach="above", **motion), touch(geometry, **motion)
-    for key, depth, speed in product(SCRUB_KEY_POINTS, SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S):
-        motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
+    for motion in _motions(SCRUB_KEY_POINTS, SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S):
         yield Option(primitive="scrub", approach="above", **motion), scrub(geometry, **motion)
     support = geometry.support_height_m
     if not REGIONS[geometry.region].sided or support is None:  # the trunk is not pushed aside
         return
-    sides = ("near_side", "far_side")
-    for side, key, depth, speed in product(sides, PUSH_KEY_POINTS, PUSH_OVERTRAVEL_M, PUSH_SPEEDS_M_S):
-        motion = {"key_point": key, "depth_m": depth, "speed_m_s": speed}
-        legs = push(geometry, **motion, support_height_m=support, towards_base=side == "near_side")
-        yield Option(primitive="push", approach=side, **motion), legs
+    for side in ("near_side", "far_side"):
+        for motion in _motions(PUSH_KEY_POINTS, PUSH_OVERTRAVEL_M, PUSH_SPEEDS_M_S):
+            legs = push(geometry, **motion, support_height_m=support, towards_base=side == "near_side")
+            yield Option(primitive="push", approach=side, **motion), legs
+
+
+def _motions(*values: Iterable[float]) -> list[dict[str, float]]:
+    return [dict(zip(("key_point", "depth_m", "speed_m_s"), each, strict=True)) for each in product(*values)]
 
 
 def _foam_options(geometry: RegionGeometry, foam: FoamSeen, person: F64 | None) -> Iterator[tuple[Option, list[Leg]]]:
@@ -287,15 +287,15 @@ def _foam_options(geometry: RegionGeometry, foam: FoamSeen, person: F64 | None) 
     along = float((foam.centre_m - geometry.centre_m) @ geometry.axis) / (2 * geometry.half_length_m)
     key = round(float(np.clip(0.5 + along, 0.0, 1.0)), 2)
     ways = holds(foam, np.zeros((0, 3)) if person is None else person)
-    for depth, speed in product(TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
-        option = Option(primitive="touch", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
-        yield option, _reached(touch_at(foam.centre_on_skin, *way, depth, speed) for way in ways)
-    for depth, speed in product(SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S[:1]):
-        option = Option(primitive="scrub", approach="above", key_point=key, depth_m=depth, speed_m_s=speed)
-        yield option, _reached(wipe(foam, *way, depth, speed) for way in ways)
+    for motion in _motions([key], TOUCH_DEPTHS_M, TOUCH_SPEEDS_M_S):
+        contacts = (touch_at(foam.centre_on_skin, *way, motion["depth_m"], motion["speed_m_s"]) for way in ways)
+        yield Option(primitive="touch", approach="above", **motion), _first_reached(contacts)
+    for motion in _motions([key], SCRUB_DEPTHS_M, SCRUB_SPEEDS_M_S[:1]):
+        contacts = (wipe(foam, *way, motion["depth_m"], motion["speed_m_s"]) for way in ways)
+        yield Option(primitive="scrub", approach="above", **motion), _first_reached(contacts)
 
 
-def _reached(contacts: Iterable[list[Leg]]) -> list[Leg]:
+def _first_reached(contacts: Iterable[list[Leg]]) -> list[Leg]:
     """Return the first contact that the arm reaches, or the last one."""
     contact = list[Leg]()
     for contact in contacts:
@@ -361,7 +361,6 @@ class StateMachine:
         self._notes: dict[str, object] = {}
 
     def configure(self, session: Session) -> None:
-        """Take over the workspace bounds. Without this call the workspace counts as unlimited."""
         self._bounds = session.action_bounds
 
     def reset(self, instruction: str) -> None:
@@ -373,8 +372,7 @@ class StateMachine:
     def act(self, observation: Observation) -> Sequence[Action]:
         """Return the whole plan as one chunk of at most MAX_CHUNK actions, of which the last one ends the trial."""
         try:
-            chosen = self.choose(observation)
-            actions = chunk(chosen.legs, observation.pose_tcp_in_base)
+            actions = chunk(self.choose(observation).legs, observation.pose_tcp_in_base)
             if len(actions) > MAX_CHUNK:
                 raise PlanningFailure(f"the plan has {len(actions)} actions; a chunk holds at most {MAX_CHUNK}")
         except ContractError as error:
@@ -401,14 +399,13 @@ class StateMachine:
         self._notes |= {"method": self.card.name, "camera": CAMERA, "intent": intent.model_dump()}
         if foam is not None:
             self._notes["foam_m"] = foam.centre_m.round(4).tolist()
-        noted: list[dict[str, object]] = []
+        noted = self._notes["options"] = list[dict[str, object]]()
         for candidate in options:
-            corners, seen = candidate.corners_m, (view.intrinsics, view.pose_camera_in_base)
-            places = {"corners_m": corners.round(4).tolist(), "corners_px": pixels(corners, *seen).round(1).tolist()}
+            corners = candidate.corners_m
+            seen = pixels(corners, view.intrinsics, view.pose_camera_in_base)
+            places = {"corners_m": corners.round(4).tolist(), "corners_px": seen.round(1).tolist()}
             noted.append(asdict(candidate.option) | places)
-        self._notes["options"] = noted
-        index = self._language.choose(intent, [option.option for option in options])
-        self._notes["chosen"] = index
+        index = self._notes["chosen"] = self._language.choose(intent, [option.option for option in options])
         logger.info("The state machine chose %s of %d options", options[index].option, len(options))
         return options[index]
 

@@ -14,7 +14,6 @@ from carecontact.protocol.protocol import Protocol
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
-    from pydantic_core import ErrorDetails
 
 
 WORDS = {
@@ -44,26 +43,15 @@ INPUT_CHARACTERS = 80
 
 
 def wrong_fields(
-    place: str,
-    error: ValidationError,
-    *,
-    model: type[BaseModel] | None = None,
-    content: object = None,
-    bases: Sequence[str] = (),
+    place: str, error: ValidationError, *, model: type[BaseModel], content: object, bases: Sequence[str] = ()
 ) -> str:
-    """Return one line that begins with ``place`` where one field is wrong, else a heading and one line for each fault.
-
-    Args:
-        bases: what the file might have named as its ``base``, the likeliest first; empty if it has one or cannot. Of a
-            file that could have one, the fields that it leaves out share a line.
-
-    The other arguments are those of ``faults``.
-    """
+    """Return a line for each fault after ``place``. If the file could name one of ``bases``, fields left out share a
+    line."""
     lines = faults(error, model=model, content=content)
-    left_out = [str(found["loc"][0]) if _is_left_out(found) else "" for found in error.errors()]
-    missing = [name for name in left_out if name]
+    left_out = [found["type"] == "missing" and len(found["loc"]) == 1 for found in error.errors()]
+    missing = [str(found["loc"][0]) for found, out in zip(error.errors(), left_out, strict=True) if out]
     if bases and len(missing) > 1:
-        lines = [line for line, name in zip(lines, left_out, strict=True) if not name]
+        lines = [line for line, out in zip(lines, left_out, strict=True) if not out]
         if not any("(did you mean 'base'?)" in line for line in lines):
             lines.append(
                 f'add base = "{bases[0]}" (valid: {", ".join(bases)}, FILE.toml), or give all fields; '
@@ -74,25 +62,18 @@ def wrong_fields(
     return "\n  ".join([f"{place}: {counted(len(lines), 'field')} wrong", *lines])
 
 
-def _is_left_out(found: ErrorDetails) -> bool:
-    """Whether an error is that a field at the top of the file is missing."""
-    return found["type"] == "missing" and len(found["loc"]) == 1
-
-
-def faults(error: ValidationError, *, model: type[BaseModel] | None = None, content: object = None) -> list[str]:
-    """Return one line for each wrong field, without words of pydantic. A value is shown where it is one, not the table
-    around a field that is missing.
-
-    Args:
-        model: what was expected; with it an unknown field lists those that exist.
-        content: what was checked; with it a task is named by its id, and the version of the gates gives their fields.
-    """
+def faults(error: ValidationError, *, model: type[BaseModel], content: object) -> list[str]:
+    """Return one line for each wrong field of ``content``, in our own words; ``model`` says which fields exist."""
     lines: list[str] = []
     for found in error.errors():
         value, where, kind = found["input"], field_path(found["loc"], content), found["type"]
         shown = "" if isinstance(value, dict | list | tuple) else f" (got {str(value)[:INPUT_CHARACTERS]})"
         if kind == "extra_forbidden":
-            fault = _unknown(found["loc"], model, content)
+            *outer, name = found["loc"]
+            names, valid = [part for part in outer if isinstance(part, str)], _fields(model, outer, content)
+            table = f"the table {'.'.join(names)}" if names else "the file"
+            listed = f"; valid: {', '.join(valid)}" if valid else ""
+            fault = f"no such field in {table}{did_you_mean(str(name), valid)}{listed}"
         elif kind in WORDS:
             fault = WORDS[kind].format(**found.get("ctx", {}))
         else:
@@ -100,13 +81,6 @@ def faults(error: ValidationError, *, model: type[BaseModel] | None = None, cont
         # A check over several fields names its field in the message.
         lines.append(f"{where}: {fault}{shown}" if where else fault)
     return lines
-
-
-def _unknown(loc: Sequence[int | str], model: type[BaseModel] | None, content: object) -> str:
-    names, valid = [part for part in loc[:-1] if isinstance(part, str)], _fields(model, loc[:-1], content)
-    table = f"the table {'.'.join(names)}" if names else "the file"
-    listed = f"; valid: {', '.join(valid)}" if valid else ""
-    return f"no such field in {table}{did_you_mean(str(loc[-1]), valid)}{listed}"
 
 
 def field_path(loc: Sequence[int | str], content: object) -> str:
@@ -124,7 +98,7 @@ def field_path(loc: Sequence[int | str], content: object) -> str:
     return ".".join(parts)
 
 
-def _fields(model: type[BaseModel] | None, loc: Sequence[int | str], content: object) -> list[str]:
+def _fields(model: type[BaseModel], loc: Sequence[int | str], content: object) -> list[str]:
     """Return names of the fields of the table at a place; none where the place is not a table of fixed fields."""
     if model is Protocol and not loc:
         return ["base", *(name for name in Protocol.model_fields if name not in WRITTEN)]

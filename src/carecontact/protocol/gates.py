@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -30,20 +30,38 @@ class Section(BaseModel):
 
 
 def absent(value: object) -> bool:
-    """Whether an optional section is not given. Such a section is left out of what is written and hashed, so that a
-    protocol without it keeps its hash."""
+    """Whether an optional section is absent: it is then neither written nor hashed, so that older hashes stay."""
     return value is None
 
 
-def registered(registry: Registry[Any]) -> Callable[[str], str]:
-    """Return a validator that passes the names of a registry's rows; the error of any other name lists them."""
+def registered(registry: Registry[Any]) -> AfterValidator:
+    """Passes the names of a registry's rows; the error of any other name lists them."""
+    return named(registry, lambda name: str(UnknownNameError(registry.kind, name, registry)))
 
+
+def one_of(kind: str, valid: Collection[str]) -> AfterValidator:
+    return named(valid, lambda name: f"no {kind} named {name!r}; valid: {', '.join(valid)}")
+
+
+def named(valid: Container[str], refusal: Callable[[str], str]) -> AfterValidator:
     def check(name: str) -> str:
-        if name not in registry:
-            raise ValueError(str(UnknownNameError(registry.kind, name, registry)))
+        if name not in valid:
+            raise ValueError(refusal(name))
         return name
 
-    return check
+    return AfterValidator(check)
+
+
+def below(low: str, high: str) -> Any:
+    """A validator of a table whose field ``low`` has to be below ``high``."""
+
+    def check(table: Any) -> Any:
+        least, most = getattr(table, low), getattr(table, high)
+        if least >= most:
+            raise ValueError(f"{low} {least:g} has to be below {high} {most:g}")
+        return table
+
+    return model_validator(mode="after")(check)
 
 
 # What a trial has to achieve: one table for each action. The rules that judge a trial by it are in ``scoring.actions``;
@@ -60,12 +78,7 @@ class ForceBand(Section):
 
     least_n: Positive
     most_n: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.least_n >= self.most_n:
-            raise ValueError(f"least_n {self.least_n:g} has to be below most_n {self.most_n:g}")
-        return self
+    _ordered = below("least_n", "most_n")
 
 
 class GentleTouchGate(ForceBand):
@@ -88,12 +101,7 @@ class PushFromOnsetGate(PressGate):
     least_wrist_m: Positive
     """Least horizontal displacement of the wrist from where it was when the contact episode began [m]."""
     most_wrist_m: Positive
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        if self.least_wrist_m >= self.most_wrist_m:
-            raise ValueError(f"least_wrist_m {self.least_wrist_m:g} has to be below most_wrist_m {self.most_wrist_m:g}")
-        return self
+    _ordered = below("least_wrist_m", "most_wrist_m")
 
 
 class ScrubGate(Section):
@@ -122,7 +130,7 @@ GATES: dict[str, dict[str, type[Section]]] = {
 """Shipped action -> ``gates.set`` -> schema of the table ``[gates.<action>]``."""
 
 
-# What a trial owes the person besides its task: the rules are in ``scoring.conduct``. Any set of gates may have it.
+# What a trial owes the person besides its task (``scoring.metrics.success``). Any set of gates may have it.
 
 
 class Conduct(Section):
@@ -159,8 +167,6 @@ class Conduct(Section):
 
 
 class Action(ABC):
-    """What a protocol needs to know of an action: the schema of its gate."""
-
     @abstractmethod
     def gate_in(self, gates: str) -> type[Section]:
         """Return the schema of the table ``[gates.<action>]`` where ``gates.set`` is this."""
@@ -182,8 +188,7 @@ for _name, _schemas in GATES.items():
 
 
 def _gate(named: tuple[str, str, object]) -> Section:
-    """Return the table of one action, by the action's own schema in the set of gates; its errors keep their place in
-    the file."""
+    """Return an action's table by its schema in the set of gates; errors keep their place in the file."""
     gates, action, table = named
     try:
         return ACTIONS[action].gate_in(gates).model_validate(table)
@@ -247,14 +252,10 @@ class Gates(Section):
         return {name: table if name in cls.model_fields else (gates, name, table) for name, table in tables.items()}
 
     @model_validator(mode="after")
-    def _conduct_of_actions(self) -> Self:
+    def _consistent(self) -> Self:
         for action in self.conduct or {}:
             if action not in self.actions:
                 raise ValueError(f"conduct.{action}: no table of this action; valid: {', '.join(self.actions)}")
-        return self
-
-    @model_validator(mode="after")
-    def _joints_in_the_exam(self) -> Self:
         fields = (self.joint_beyond_rad, self.joint_consumed)
         if any((value is None) == (self.set == "exam") for value in fields):
             raise ValueError("joint_beyond_rad and joint_consumed belong to the exam's gates, which need both")
@@ -263,9 +264,9 @@ class Gates(Section):
 
 # A task: one action on one region, and the sentence that a policy is given.
 
-ActionName = Annotated[str, AfterValidator(registered(ACTIONS))]
+ActionName = Annotated[str, registered(ACTIONS)]
 """Name of a row of ACTIONS."""
-RegionName = Annotated[str, AfterValidator(registered(REGIONS))]
+RegionName = Annotated[str, registered(REGIONS)]
 """Name of a row of ``carecontact.interface.regions.REGIONS``."""
 
 
@@ -285,13 +286,7 @@ def regions_of(tasks: Sequence[Task]) -> tuple[str, ...]:
 # When a segment counts as touched, and where success may be earned.
 
 
-def _segment(name: str) -> str:
-    if name not in SEGMENTS:
-        raise ValueError(f"no segment named {name!r}; valid: {', '.join(SEGMENTS)}")
-    return name
-
-
-SegmentName = Annotated[str, AfterValidator(_segment)]
+SegmentName = Annotated[str, one_of("segment", SEGMENTS)]
 """One of ``carecontact.interface.regions.SEGMENTS``."""
 
 

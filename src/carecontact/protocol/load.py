@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -46,8 +46,7 @@ def shipped_protocols() -> list[str]:
 
 
 def protocol_file(name_or_path: str) -> Path:
-    """Return the file of a shipped protocol, or the TOML file itself. Raises UnknownNameError, or ConfigError for a
-    file that is missing and for a protocol of an earlier release."""
+    """Return the file of a shipped or own protocol. Raises UnknownNameError or ConfigError."""
     if commit := EARLIER.get(name_or_path):
         raise ConfigError(
             f"no protocol named {name_or_path!r}: commit {commit} has it, and reproduces its results; valid here: "
@@ -68,8 +67,7 @@ def protocol_file(name_or_path: str) -> Path:
 
 
 def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[str, Table]]:
-    """Return the files that a protocol is made of, each with its place and its own table, the first base first. A
-    ``base`` is the id of a shipped protocol, or a file relative to the one that names it."""
+    """Return place and own table of each file that a protocol is made of, the first base first."""
     path, shipped = protocol_file(name_or_path), shipped_protocols()
     try:
         table = tomllib.loads(path.read_bytes().decode())
@@ -98,9 +96,8 @@ def ancestry(name_or_path: str, *, heirs: tuple[str, ...] = ()) -> list[tuple[st
 
 
 def inherit(base: Table, own: Table) -> Table:
-    """``own`` over ``base``: tables are merged key by key; every other value, lists and so ``tasks`` too, is replaced
-    as a whole. A ``person.tissue_set`` brings its own rows, so those of the base go; and where another
-    ``gates.set`` is named the base's gates go, whose fields mean something else."""
+    """``own`` over ``base``, key by key; lists are replaced whole. Rows of tissue go with another ``tissue_set``, gates
+    with another ``set``."""
     kept = {name: value for name, value in base.items() if name not in OWN}
     person, own_person = kept.get("person"), own.get("person")
     if isinstance(person, dict) and isinstance(own_person, dict) and "tissue_set" in own_person:
@@ -126,9 +123,9 @@ def merged(base: Table, own: Table) -> Table:
 # with its own table over that. A person of a seed is the same on all levels, so each level knows what the others draw.
 
 
-def split(place: str, table: Table) -> tuple[Table, dict[str, Table]]:
-    """Split the table of a file into the table without levels and the tables of the levels."""
-    levels = table.get(LEVELS, {})
+def by_level(place: str, table: Table) -> dict[str, Table]:
+    """Return the whole table of every level, in the order of the file; without levels, it is named ``""``."""
+    levels, out = table.get(LEVELS, {}), dict[str, Table]()
     rest = {name: value for name, value in table.items() if name != LEVELS}
     if not isinstance(levels, Mapping):
         raise ConfigError(f"{place}: {LEVELS}: expected tables [{LEVELS}.NAME], got {levels!s:.40}")
@@ -141,16 +138,9 @@ def split(place: str, table: Table) -> tuple[Table, dict[str, Table]]:
             raise ConfigError(
                 f"{place}: {LEVELS}.{name}.{fixed}: a level cannot change {fixed}, which all levels share"
             )
-    return rest, {str(name): dict(own) for name, own in levels.items()}
-
-
-def tables(rest: Table, levels: Mapping[str, Table]) -> dict[str, Table]:
-    """Return the whole table of every level, in the order of the file."""
-    out: dict[str, Table] = {}
-    for name, own in levels.items():
-        rest = merged(rest, own)
+        rest = merged(rest, dict(own))
         out[name] = rest
-    return out
+    return out or {"": rest}
 
 
 def load_protocol(name_or_path: str, *, level: str | None = None) -> Protocol:
@@ -175,36 +165,40 @@ def load_protocol(name_or_path: str, *, level: str | None = None) -> Protocol:
 
 def load_levels(name_or_path: str) -> dict[str, Protocol]:
     """Return every level of a protocol by its name, or the protocol alone, named ``""``, where it has no levels."""
-    (place, table), *heirs = ancestry(name_or_path)
-    found = _of_table(place, table, bases=sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL))
-    for heir, own in heirs:
-        place, table = heir, inherit(table, own)
-        found = _of_table(place, table)
+    found, bases = dict[str, Protocol](), sorted(shipped_protocols(), key=lambda name: name != DEFAULT_PROTOCOL)
+    for place, table in _inherited(name_or_path):
+        found, bases = _of_table(place, table, bases=bases), []  # only the first one could name a base
     return found
 
 
-def _of_table(place: str, table: Table, *, bases: Sequence[str] = ()) -> dict[str, Protocol]:
-    rest, own = split(place, table)
-    if rest.get("overrides"):
+def merged_table(name_or_path: str) -> Table:
+    """Return the table of a protocol's file over those of its bases, before anything is checked."""
+    *_, (_, table) = _inherited(name_or_path)
+    return table
+
+
+def _inherited(name_or_path: str) -> Iterator[tuple[str, Table]]:
+    """Yield place and whole table of each file that a protocol is made of, the first base first."""
+    whole: Table | None = None
+    for place, own in ancestry(name_or_path):
+        whole = own if whole is None else inherit(whole, own)
+        yield place, whole
+
+
+def _of_table(place: str, table: Table, *, bases: Sequence[str]) -> dict[str, Protocol]:
+    levels = by_level(place, table)
+    if table.get("overrides"):
         raise ConfigError(f"{place}: overrides are written by a command, never by a file; change the fields themselves")
-    if rest.get("level"):
+    if table.get("level"):
         raise ConfigError(f"{place}: level: a file has the tables [levels.NAME], and who loads it chooses one")
-    if not own:
-        return {"": _validated(place, rest, bases=bases)}
-    found = {name: _validated(f"{place}, level {name}", whole) for name, whole in tables(rest, own).items()}
+    if "" in levels:
+        return {"": _validated(place, levels[""], bases=bases)}
+    found = {name: _validated(f"{place}, level {name}", whole) for name, whole in levels.items()}
     shared: dict[str, Level] = {}
     for name, rules in found.items():
         moves = rules.person.alive.repositioning
         shared[name] = Level(variation=rules.variation, reposition_m=0.0 if moves is None else moves.wrist_m[1])
     return {name: rules.model_copy(update={"level": name, LEVELS: shared}) for name, rules in found.items()}
-
-
-def merged_table(name_or_path: str) -> Table:
-    """Return the table of a protocol's file over those of its bases, before anything is checked."""
-    (_, table), *heirs = ancestry(name_or_path)
-    for _, own in heirs:
-        table = inherit(table, own)
-    return table
 
 
 def _validated(place: str, table: Table, *, bases: Sequence[str] = ()) -> Protocol:
@@ -254,8 +248,7 @@ def _task_regions(table: Table) -> list[str]:
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """TOML that reads back as this table, with the values of each table before the tables inside it. A value that is
-    None is left out: TOML has no word for it, and for a field it means that the file does not give it."""
+    """TOML that reads back as this table. A value that is None is left out: TOML has no word for it."""
     return "\n".join(_lines(table, ())).strip() + "\n"
 
 

@@ -60,10 +60,7 @@ DRIFTED = "lock"
 
 
 def frozen_state(protocol: Protocol) -> str:
-    """``frozen``, ``draft``, or a sentence that begins with ``not``: what it differs from, or that no lock is here.
-
-    Announced overrides, which every title names, are put back first.
-    """
+    """``frozen``, ``draft``, or a sentence that begins with ``not``. Announced overrides are put back first."""
     if DRIFTED in protocol.overrides:
         return f"not the frozen {protocol.id}: {protocol.overrides[DRIFTED]}"
     lock = read_lock(protocol.id, level=protocol.level) if protocol.id in shipped_protocols() else None
@@ -77,8 +74,7 @@ def frozen_state(protocol: Protocol) -> str:
 
 
 def drifted_sha256(protocol_id: str, sha256: str) -> str | None:
-    """Return how a protocol without overrides differs from its lock, by its name with the level, as results have it,
-    and its hash; None where it does not."""
+    """Return how a protocol (its name with the level, and its hash) differs from its lock; None where it does not."""
     own_id, _, level = protocol_id.partition(" ")
     lock = read_lock(own_id, level=level) if own_id in shipped_protocols() else None
     if lock is None or lock.protocol_sha256 == sha256:

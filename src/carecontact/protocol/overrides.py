@@ -6,10 +6,9 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -43,8 +42,7 @@ def shipped_tissue_sets() -> list[str]:
 
 
 def load_tissue_set(*names_or_paths: str) -> TissueSet:
-    """Return a shipped set by id, or a TOML file by path; regions that it leaves out come from its base. Of several,
-    every one gives its own rows, and they need one base for the regions of which none has a row."""
+    """Return a shipped set or a TOML file, with the regions that it lacks from its base. Several need one base."""
     sets = {name: _read(name) for name in names_or_paths}
     rows, owner = dict[str, Tissue](), dict[str, str]()
     for name, made in sets.items():
@@ -67,8 +65,9 @@ def load_tissue_set(*names_or_paths: str) -> TissueSet:
             raise ConfigError(f"{place}: base {base!r}; valid: {valid}")
     if bases:
         rows = {**load_tissue_set(bases[0]).tissue, **rows}
-    first, *_ = sets.values()
-    return first.model_copy(update={"id": "+".join(made.id for made in sets.values()), "tissue": rows})
+    return next(iter(sets.values())).model_copy(
+        update={"id": "+".join(made.id for made in sets.values()), "tissue": rows}
+    )
 
 
 def check_accepted(protocol: Protocol, *, allowed: bool) -> None:
@@ -155,8 +154,7 @@ def overridden(protocol: Protocol, changes: Mapping[str, object]) -> Protocol:
 
 
 def without_overrides(protocol: Protocol, original: Protocol) -> Protocol:
-    """Return a copy whose replaced fields are ``original``'s again: equal to it unless more was changed than announced.
-    A recorded path that ``original`` does not have stays."""
+    """Return a copy whose replaced fields are ``original``'s again, except paths that ``original`` does not have."""
     for leader in protocol.overrides:
         for path in (leader, *(path for path, other in FOLLOWS.items() if other == leader)):
             parts = path.split(".")
@@ -168,8 +166,7 @@ def without_overrides(protocol: Protocol, original: Protocol) -> Protocol:
 
 
 def _with_rows(protocol: Protocol, changes: Mapping[str, object]) -> dict[str, object]:
-    """Return the changes with what follows from them: no body is drawn where one is chosen, and the rows of the tissue
-    set that they name, one for each soft region of the protocol."""
+    """Return the changes with what follows from them: no drawn body where one is chosen, and the tissue set's rows."""
     if "person.body" in changes and BODIES not in changes:
         changes = {**changes, BODIES: []}
     name = changes.get("person.tissue_set")
@@ -250,8 +247,7 @@ def _with(node: Any, parts: Sequence[str], value: object) -> Any:
     return {**node, name: child}
 
 
-@dataclass(frozen=True, kw_only=True)
-class SkinState:
+class SkinState(NamedTuple):
     coefficient: float
     """Of friction against the tool."""
     source: str
@@ -259,25 +255,23 @@ class SkinState:
 
 SKIN_STATES = {
     "dry": SkinState(
-        coefficient=0.5,
-        source="typical of dry skin, which is above 0.2: the review of Derler and Gerhardt 2012 (Tribology Letters "
-        "45:1; only its abstract was read)",
+        0.5,
+        "typical of dry skin, which is above 0.2: the review of Derler and Gerhardt 2012 (Tribology Letters 45:1; only "
+        "its abstract was read)",
     ),
     "wet": SkinState(
-        coefficient=1.0,
-        source="the least of what the same review calls typical of moist or wet skin: above 1, falling with pressure",
+        1.0, "the least of what the same review calls typical of moist or wet skin: above 1, falling with pressure"
     ),
     "soapy": SkinState(
-        coefficient=0.2,
-        source="assumed, the lower end of dry skin: soapy palms slid more easily on grab rails than dry and wet ones "
+        0.2,
+        "assumed, the lower end of dry skin: soapy palms slid more easily on grab rails than dry and wet ones "
         "(Ergonomics 2001, 44:973; only its abstract was read, which gives no coefficient)",
     ),
 }
 
 
 def friction_changes(rules: Protocol, friction: str) -> dict[str, object]:
-    """Return fields of ``rules`` that give all of its soft regions one coefficient, as ``overridden`` takes them: by a
-    name of SKIN_STATES or a number, to which the fields' own bounds apply."""
+    """Return the fields that give all soft regions one coefficient: a name of SKIN_STATES or a number."""
     try:
         value = SKIN_STATES[friction].coefficient if friction in SKIN_STATES else float(friction)
     except ValueError:

@@ -120,7 +120,7 @@ class Tissue(Section):
     a_n_m3: Positive
     """[N/m per m^2 of shell]"""
     b_n_m4: float
-    """Below zero the law is softer at first than a straight line; see ``_convex``."""
+    """Below zero the law is softer at first than a straight line; see ``_solvable``."""
     c_n_m5: Annotated[float, Field(ge=0)]
     damping_ns_m3: Positive
     """[N s/m per m^2]"""
@@ -156,26 +156,18 @@ class Tissue(Section):
 
     @model_validator(mode="after")
     def _solvable(self) -> Self:
-        """The solver was tried with a layer of contact up to LARGEST_CONTACT times as stiff as the anchors."""
+        # The solver was tried with a layer of contact up to so many times as stiff as the anchors.
         if self.contact_n_m3 > LARGEST_CONTACT * self.a_n_m3:
             raise ValueError(
                 f"contact_n_m3 {self.contact_n_m3:g} is too stiff to be solved with a_n_m3 {self.a_n_m3:g}: expected "
                 f"at most {LARGEST_CONTACT} a = {LARGEST_CONTACT * self.a_n_m3:g}"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _convex(self) -> Self:
-        """The tangent a + 2 b x + 3 c x^2 must be positive at every depth."""
+        # The tangent a + 2 b x + 3 c x^2 must be positive at every depth.
         if self.b_n_m4 < 0 and self.b_n_m4**2 >= 3 * self.a_n_m3 * self.c_n_m5:
             raise ValueError(
                 f"b_n_m4 {self.b_n_m4:g} makes the law soften under load: expected b^2 < 3 a c = "
                 f"{3 * self.a_n_m3 * self.c_n_m5:g}"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _measured_above_the_bone(self) -> Self:
         if self.measured_depth_m > self.thickness_m:
             raise ValueError(
                 f"measured_depth_m {self.measured_depth_m:g} is more than thickness_m {self.thickness_m:g}: no press "

@@ -49,8 +49,7 @@ CAMERA_NAMES = ("overhead", "bedside", "exterior", "wrist")
 
 
 def protocol_title(protocol_id: str, overrides: Mapping[str, str]) -> str:
-    """Return the id and what was replaced: ``bathing-v3 with body woman-old-light``. The same coefficient of
-    friction on several regions is one replaced field."""
+    """``bathing-v3 with body woman-old-light``; the same friction on several regions is one replaced field."""
     replaced = dict(overrides)
     friction = {path: value for path, value in overrides.items() if fnmatchcase(path, FRICTION)}
     if len(friction) > 1 and len(set(friction.values())) == 1:
@@ -100,26 +99,20 @@ def _contradictions(rules: Protocol) -> Iterator[str]:
     robot, errors = rules.scene.robot, rules.arm_errors
     if errors is not None and errors.friction and len(robot.friction_nm) != len(robot.joints):
         yield f"arm_errors.friction: the friction of robot {robot.id} is not known; expected 0, got {errors.friction:g}"
-    yield from _of_foam(rules, ids)
+    if rules.foam is not None:
+        for task_id in rules.foam.prompts:
+            if task_id not in ids:
+                yield f"foam.prompts.{task_id}: no such task; valid: {', '.join(ids)}"
+            elif not REGIONS[rules.task(task_id).region].soft:
+                yield f"foam.prompts.{task_id}: the {rules.task(task_id).region} is rigid, and foam needs soft skin"
+        if rules.gates.set != "exam":
+            yield f"gates.set: foam needs the exam's gates, got {rules.gates.set}"
+        if rules.gates.foam is None:
+            yield "gates.foam: missing, and [foam] needs it"
     yield from _disordered(rules)
     steps = rules.physics.target_period_s / rules.physics.dt_s
     if abs(steps - round(steps)) > 1e-9:
         yield f"physics.target_period_s: expected a whole number of dt_s, got {steps:g} of them"
-
-
-def _of_foam(rules: Protocol, ids: list[str]) -> Iterator[str]:
-    """What foam needs: tasks that exist, on soft regions, whose cells say what was wiped, and a gate."""
-    if rules.foam is None:
-        return
-    for task_id in rules.foam.prompts:
-        if task_id not in ids:
-            yield f"foam.prompts.{task_id}: no such task; valid: {', '.join(ids)}"
-        elif not REGIONS[rules.task(task_id).region].soft:
-            yield f"foam.prompts.{task_id}: the {rules.task(task_id).region} is rigid, and foam needs soft skin"
-    if rules.gates.set != "exam":
-        yield f"gates.set: foam needs the exam's gates, got {rules.gates.set}"
-    if rules.gates.foam is None:
-        yield "gates.foam: missing, and [foam] needs it"
 
 
 def _disordered(rules: Protocol) -> Iterator[str]:
@@ -198,8 +191,7 @@ class Protocol(Section):
         return tuple(name for name in self.regions if name in self.person.tissue)
 
     def task(self, task_id: str) -> Task:
-        """Return a task with the prompt that a policy receives, which names the foam where there is some. Raises
-        KeyError; callers that face users check the id first."""
+        """Return a task with the prompt that a policy receives, which may name foam. Raises KeyError."""
         task = {t.id: t for t in self.tasks}[task_id]
         prompt = None if self.foam is None else self.foam.prompts.get(task_id)
         return task if prompt is None else task.model_copy(update={"prompt": prompt})

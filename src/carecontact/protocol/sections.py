@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from carecontact.interface.regions import SEGMENTS
 from carecontact.interface.robot import EMBODIMENTS, ActionBounds, Compliance, Robot
-from carecontact.protocol.gates import Fraction, Length, Positive, Section, Vec3, registered
+from carecontact.protocol.gates import Fraction, Length, Positive, Section, Vec3, one_of, registered
 
 DAMPING_RATIO = 1.0
 """Share of critical damping of the Cartesian impedance until an action changes it."""
@@ -110,7 +110,7 @@ class Scene(Section):
     """Arm board: low corner (x, y), world."""
     board_high_m: tuple[float, float]
     board_friction: Positive
-    tool: Annotated[str, AfterValidator(registered(EMBODIMENTS))] = "caps"
+    tool: Annotated[str, registered(EMBODIMENTS)] = "caps"
     """The robot, named by what its hand wears: a rigid cap over the fingertips, or a soft wash mitt
     (``interface.robot``)."""
 
@@ -248,15 +248,6 @@ OTHER_COLOURS: dict[str, Rgb] = {"orange": (240, 130, 20), "yellow": (240, 205, 
 """Colours of things that are no foam: as saturated as foam is, and at least 40 from each of its colours."""
 
 
-def _one_of(colours: dict[str, Rgb]) -> AfterValidator:
-    def check(name: str) -> str:
-        if name not in colours:
-            raise ValueError(f"no colour named {name!r}; valid: {', '.join(colours)}")
-        return name
-
-    return AfterValidator(check)
-
-
 class Foam(Section):
     """A patch of foam on the skin of the region that a task names (``human.foam``). It has a colour and no substance:
     neither depth images nor forces know of it."""
@@ -272,7 +263,7 @@ class Foam(Section):
     room_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Least distance between the patch and either end of the region, so that a tool on the patch touches no other
     segment. On a region that is too short for it, the patch lies in the middle."""
-    colours: Annotated[tuple[Annotated[str, _one_of(FOAM_COLOURS)], ...], Field(min_length=1)]
+    colours: Annotated[tuple[Annotated[str, one_of("colour", FOAM_COLOURS)], ...], Field(min_length=1)]
     """The seed draws one of them."""
     prompts: dict[str, str]
     """Task -> its instruction with the foam, in place of the task's own. A task that is not named has no foam."""
@@ -292,7 +283,7 @@ class Distractors(Section):
     """Half length along the bed and half width across it of the folded towel beside the legs."""
     dressing_m: tuple[Length, Length]
     """Half length along the limb and half width across it of the dressing."""
-    colours: Annotated[tuple[Annotated[str, _one_of(OTHER_COLOURS)], ...], Field(min_length=1)]
+    colours: Annotated[tuple[Annotated[str, one_of("colour", OTHER_COLOURS)], ...], Field(min_length=1)]
     """The seed draws one of them for each."""
 
 

@@ -1,5 +1,4 @@
-"""Writes a recording once and reads it back verified: canonical hash, HDF5 file, checks of what a stranger's file
-holds."""
+"""Writes a recording once and reads it back verified."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ def no_space(place: Path, why: str | None) -> StorageError:
 
 
 def header_json(header: Header) -> bytes:
-    """Return one spelling of a header: sorted keys, no white space, ASCII. A field that headers did not always have is
-    left out at its default, so that such a header is spelled as it always was."""
+    """Return one spelling of a header. A field that headers did not always have is left out at its default."""
     left_out = {name for name in ("origin",) if getattr(header, name) == Header.model_fields[name].default}
     content = header.model_dump(mode="json", exclude=left_out)
     return json.dumps(content, sort_keys=True, separators=(",", ":")).encode("ascii")
@@ -102,11 +100,7 @@ CHUNK_BYTES = 1 << 18
 
 
 def write_recording(recording: Recording, path: Path | str) -> Path:
-    """Write ``recording`` to ``path``, replacing it only when every byte is on disk.
-
-    The file is built in memory. Arrays carry per-chunk and metadata checksums beside the stored canonical hash.
-    Raises StorageError where there is no space.
-    """
+    """Write a recording, replacing ``path`` when every byte is on disk. Raises StorageError where there is no space."""
     h5py: Any = import_module("h5py")  # ships no types
     path = Path(path)
     header = header_json(recording.header)
@@ -130,10 +124,7 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Atomic on POSIX: a reader sees the old file or the new one, also after a crash.
-
-    Raises StorageError where there is no space; then nothing of the new file stays.
-    """
+    """Replace a file atomically, also in a crash. Raises StorageError where there is no space, and leaves nothing."""
     temporary = None
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=TEMPORARY)
@@ -181,13 +172,7 @@ LOCKING = "HDF5_USE_FILE_LOCKING"
 
 @contextmanager
 def opened(path: Path) -> Generator[Any]:
-    """The h5py file of a trial, whose length HDF5 compares with the one that it stored.
-
-    It is not locked: a finished recording never changes, and some file systems have no locks.
-
-    Raises RecordingError naming the file for one that is absent, too large, truncated or not HDF5, and for any error
-    inside the block that is not carecontact's own; OSError naming it where the machine fails to read it.
-    """
+    """The h5py file of a trial, not locked. Raises RecordingError for its faults, OSError for the machine's."""
     h5py: Any = import_module("h5py")  # ships no types
     try:
         if path.is_dir():
@@ -217,8 +202,7 @@ def _damaged(path: Path, error: Exception) -> RecordingError:
 
 
 def root_datasets(path: Path, file: Any) -> dict[str, Any]:
-    """Return the header and the stored checksum, of the kind and size that they may have, without a look at the
-    arrays."""
+    """Return header and stored checksum, checked for kind and size, without a look at the arrays."""
     h5py: Any = import_module("h5py")
     found: dict[str, Any] = {}
     for name in (HEADER, CHECKSUM):
@@ -399,10 +383,7 @@ def read_header(path: Path | str) -> Header:
 
 
 def stored_sha256(path: Path | str) -> str:
-    """Return the canonical hash (hex) that a trial file says it has; only ``read_recording`` computes it again.
-
-    Verifies the file's length and the stored hash itself. Raises RecordingError where that cannot be read.
-    """
+    """Return the canonical hash (hex) that a trial file says it has; only ``read_recording`` computes it again."""
     path = Path(path)
     with opened(path) as file:
         return read_bytes(path, root_datasets(path, file), CHECKSUM).hex()

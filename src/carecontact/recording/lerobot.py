@@ -65,22 +65,22 @@ class Episode:
 
 
 def episode_of(recording: Recording, *, force: bool = False) -> Episode:
-    """Return the trial's episode. No quantity of the scorer is in it unless ``force`` asks for one.
-
-    Args:
-        force: adds ``scorer.force``, the norm of the robot's summed force on each body segment [N], which no policy
-            receives.
-
-    Raises RecordingError for a trial without an action, for one whose actions are not evenly spaced in time, and for
-    one of which the recording does not hold every image that the policy was sent.
-    """
+    """Return the trial's episode; ``force`` adds ``scorer.force``, the robot's force on each segment [N], which no
+    policy receives. Raises RecordingError for a trial without an action or whole pictures, or with uneven actions."""
     header = recording.header
     title = header.spec.trial_id
     if header.card is None or not len(recording["actions/time_s"]):
         raise RecordingError(f"{title}: the policy did no action")
     spec, card = header.spec, header.card
     index = recording["actions/observation_index"].astype(np.int64)
-    streams = {"action": _action(recording)}
+    # Where an action kept the last target, that one; before any, the tool's own pose.
+    if "actions/joint" in recording:
+        targets = recording["actions/joint"]
+        names, before = tuple(f"joint{k + 1}" for k in range(targets.shape[1])), np.zeros(targets.shape[1])
+    else:
+        targets, names, before = recording["actions/pose_tcp_in_base"], POSE, _tool(recording)[0]
+    held = _held(targets, before, np.arange(len(targets))).astype(np.float32)
+    streams = {"action": Stream(names=names, values=held)}
     if spec.protocol.variation.encoder_noise_rad == 0:
         streams["observation.state"] = Stream(names=POSE, values=_tool(recording))
     seen_s = recording["policy/observation_time_s"][index]
@@ -112,10 +112,7 @@ def episode_of(recording: Recording, *, force: bool = False) -> Episode:
 
 
 def _fps(recording: Recording, title: str) -> float:
-    """Return the rate at which the recorded actions began.
-
-    That is the card's control rate, or a lower one if every answer was a single action and came after a latency.
-    """
+    """Return the rate of the actions: the card's, or a lower one if every single-action answer came after a latency."""
     spec, times_s = recording.header.spec, recording["actions/time_s"]
     dt_s, hz = spec.protocol.physics.dt_s, float((recording.header.card or {})["control_hz"])
     wait_s = round(spec.protocol.phases.latency_s / dt_s) * dt_s
@@ -128,24 +125,6 @@ def _fps(recording: Recording, title: str) -> float:
         f"{title}: its actions are {apart_s.min():.3g} to {apart_s.max():.3g} s apart, and a dataset has one rate; "
         "runs of policies that answer several actions at a time can be exported only without --latency-ms"
     )
-
-
-def _action(recording: Recording) -> Stream:
-    """Return the target of each action; where an action kept the last target, that one, and before any the tool's own
-    pose."""
-    if "actions/joint" in recording.arrays:
-        joint = recording["actions/joint"]
-        names = tuple(f"joint{k + 1}" for k in range(joint.shape[1]))
-        return Stream(names=names, values=_filled(joint, np.zeros(len(names))))
-    return Stream(names=POSE, values=_filled(recording["actions/pose_tcp_in_base"], _tool(recording)[0]))
-
-
-def _filled(values: npt.NDArray[Any], before: npt.NDArray[Any]) -> F32:
-    out = values.astype(np.float32)
-    for row in range(len(out)):
-        if np.isnan(out[row]).any():
-            out[row] = out[row - 1] if row else before
-    return out
 
 
 def _steps(recording: Recording) -> npt.NDArray[np.int64]:
@@ -170,8 +149,7 @@ def _tool(recording: Recording) -> F32:
 
 
 def _taken(recording: Recording, camera: str) -> npt.NDArray[np.int64]:
-    """(A,) for each observation the one whose view of the camera it held: the last one for which the camera took one.
-    The first observation of a trial has a view of every camera."""
+    """(A,) for each observation the one whose view of the camera it held; the first has a view of every camera."""
     own = np.arange(len(recording["policy/observation_time_s"]))
     if LOOKED not in recording.arrays:
         return own
@@ -247,8 +225,7 @@ def rows_of(recording: Recording, seen: Sequence[Observation], *, hz: float, suc
 
 
 def person_of(spec: TrialSpec) -> int:
-    """Return the number of a trial's person, to split a dataset by; it is the same on all levels and for all tasks, and
-    reveals neither seed nor salt."""
+    """Return a number for a trial's person, the same on all levels and tasks, that reveals neither seed nor salt."""
     text = f"{spec.commitment} {spec.protocol.drawn_as} {spec.seed}"
     return int(hashlib.sha256(text.encode()).hexdigest()[:12], 16)
 
@@ -258,15 +235,14 @@ def _stream(names: tuple[str, ...], *parts: Any) -> Stream:
 
 
 def _held(poses: npt.NDArray[Any], before: npt.NDArray[Any], rows: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """(M, 7) the target in force at each row. ``rows``: number of the row's last action, -1 before the first."""
+    """(M, D) the target in force at each row. ``rows``: number of the row's last action, -1 before the first."""
     known = np.vstack([before, poses])
-    last = np.maximum.accumulate(np.where(np.isnan(known[:, 0]), 0, np.arange(len(known))))
+    last = np.maximum.accumulate(np.where(np.isnan(known).any(axis=1), 0, np.arange(len(known))))
     return known[last][rows + 1]
 
 
 def _same_sign(poses: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A quaternion and its negative are one rotation: begin with a positive largest number, and keep the sign from row
-    to row."""
+    """Of a quaternion and its negative, keep one: the first with a positive largest number, the next by continuity."""
     quats = poses[:, 3:]
     first = np.sign(quats[0, np.abs(quats[0]).argmax()])
     turned = np.cumprod(np.where(np.sum(quats[1:] * quats[:-1], axis=1) < 0, -1.0, 1.0))

@@ -57,10 +57,8 @@ class Dataset:
     _rows: int = 0
 
     def add(self, episode: Episode, *, name: str) -> None:
-        """Write one episode. ``name``: of the trial, for messages.
-
-        Raises ConfigError if its streams, images or rate are not those of the episodes before.
-        """
+        """Write one episode. Raises ConfigError, naming the trial, if it differs in streams, images or rate from those
+        before."""
         if episode.clips and self.version != "v3.0":
             raise ConfigError("--video: only the format v3.0 holds films here; leave out --video or --form")
         found = features_of(episode)
@@ -76,10 +74,19 @@ class Dataset:
         number, length = len(self._episodes), len(episode)
         chunk, file = divmod(number, FILES_IN_CHUNK)
         place = {"chunk_index": chunk, "file_index": file, "episode_chunk": chunk, "episode_index": number}
-        columns = {key: s.values for key, s in episode.streams.items()} | self._indices(episode, number)
-        pixels = {
-            IMAGE + camera: histogram_of(images, episode.shown[camera]) for camera, images in episode.images.items()
+        frames = np.arange(length, dtype=np.int64)
+        columns = {key: s.values for key, s in episode.streams.items()} | {
+            "timestamp": (frames / episode.fps).astype(np.float32),
+            "frame_index": frames,
+            "episode_index": np.full(length, number, np.int64),
+            "index": frames + self._rows,
+            "task_index": np.full(length, self._tasks.index(episode.instruction), np.int64),
         }
+        shown, pixels = dict[str, list[dict[str, Any]]](), dict[str, Any]()
+        for camera, images in episode.images.items():
+            encoded = [{"bytes": png(image), "path": None} for image in images]
+            shown[IMAGE + camera] = [encoded[k] for k in episode.shown[camera]]
+            pixels[IMAGE + camera] = histogram_of(images, episode.shown[camera])
         row: dict[str, Any] = {"episode_index": number, "tasks": [episode.instruction], "length": length}
         for camera, clip in episode.clips.items():
             key = IMAGE + camera
@@ -90,7 +97,7 @@ class Dataset:
             row |= {f"videos/{key}/chunk_index": chunk, f"videos/{key}/file_index": file}
             row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": length / episode.fps}
         features = {**self._features, **_INDEX_FEATURES}
-        _write(self.folder / DATA_PATHS[self.version].format(**place), columns, _encoded(episode), features)
+        _write(self.folder / DATA_PATHS[self.version].format(**place), columns, shown, features)
         for key, values in columns.items():
             self._columns.setdefault(key, []).append(values)
         for key, histogram in pixels.items():
@@ -125,8 +132,7 @@ class Dataset:
         parquet.write_table(_task_table(self._tasks), meta / "tasks.parquet")
 
     def _episode_rows(self) -> list[dict[str, Any]]:
-        """Return what v3.0 has of each episode. lerobot's tools compute the statistics of a changed dataset from the
-        columns ``stats/FEATURE/NAME``."""
+        """Return v3.0's row of each episode; lerobot's tools read the columns ``stats/FEATURE/NAME``."""
         rows: list[dict[str, Any]] = []
         begin = 0
         for episode, stats in zip(self._episodes, self._episode_stats, strict=True):
@@ -138,17 +144,6 @@ class Dataset:
             rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
             begin = end
         return rows
-
-    def _indices(self, episode: Episode, number: int) -> dict[str, Any]:
-        frames = np.arange(len(episode), dtype=np.int64)
-        task = self._tasks.index(episode.instruction)
-        return {
-            "timestamp": (frames / episode.fps).astype(np.float32),
-            "frame_index": frames,
-            "episode_index": np.full(len(episode), number, np.int64),
-            "index": frames + self._rows,
-            "task_index": np.full(len(episode), task, np.int64),
-        }
 
     def _info(self) -> dict[str, Any]:
         count = len(self._episodes)
@@ -199,15 +194,6 @@ def features_of(episode: Episode) -> dict[str, Any]:
     return features
 
 
-def _encoded(episode: Episode) -> dict[str, list[dict[str, Any]]]:
-    """Camera's column -> the image of every row as PNG."""
-    columns: dict[str, list[dict[str, Any]]] = {}
-    for camera, images in episode.images.items():
-        encoded = [{"bytes": png(image), "path": None} for image in images]
-        columns[IMAGE + camera] = [encoded[k] for k in episode.shown[camera]]
-    return columns
-
-
 def _write(
     path: Path, columns: dict[str, Any], images: dict[str, list[dict[str, Any]]], features: dict[str, Any]
 ) -> None:
@@ -250,12 +236,7 @@ def _task_table(names: list[str]) -> Any:
 
 
 def _stats(columns: dict[str, Any], pixels: dict[str, Any]) -> dict[str, Any]:
-    """Statistics of every column of rows, in lerobot's shapes: a list of numbers, and (3, 1, 1) for an image in [0, 1].
-
-    Args:
-        columns: name -> (N, D) or (N,).
-        pixels: column of a camera -> histogram of its rows (3, 256).
-    """
+    """Statistics of columns of rows, in lerobot's shapes: a list of numbers, (3, 1, 1) for images in [0, 1]."""
     stats: dict[str, Any] = {}
     rows = len(columns["index"])
     for key, values in columns.items():

@@ -1,5 +1,4 @@
-"""Arrays that a recording may hold besides the trial: the policy's notes at its steps, which no metric uses, and the
-error of its perception against the simulator's truth, for the scorer alone."""
+"""A policy's notes at its steps, which no metric uses, and the errors of its perception, for the scorer alone."""
 
 from __future__ import annotations
 
@@ -7,14 +6,14 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import RecordingError
 from carecontact.interface.policy import CAMERAS
-from carecontact.recording.schema import Recording
+from carecontact.recording.schema import OPTIONAL_ARRAYS, Recording
 
 PREFIX = "policy/notes/"
 MAX_JOINED_CHARS = 500
@@ -62,14 +61,12 @@ def language_use(recording: Recording) -> LanguageUse:
         sha256=hashlib.sha256(json.dumps(pairs).encode()).hexdigest() if pairs else None,
         endpoint=_joined(call["endpoint"] for call in live),
         served=_joined(call.get("model") for call in live),
-        sent=_joined(_parameters(call.get("sent")) for call in live),
+        sent=_joined(
+            " ".join(sorted(f"{k}={v}" for k, v in cast("dict[Any, Any]", sent).items()))
+            for call in live
+            if isinstance(sent := call.get("sent"), dict)
+        ),
     )
-
-
-def _parameters(sent: object) -> str | None:
-    if not isinstance(sent, dict):
-        return None
-    return " ".join(sorted(f"{k}={v}" for k, v in cast("dict[Any, Any]", sent).items()))
 
 
 def _joined(values: Iterable[object]) -> str | None:
@@ -99,21 +96,7 @@ JOINTS = {
 }
 """Joints whose centres the simulator knows -> index in MediaPipe Pose's order."""
 
-ARRAYS: dict[str, tuple[str, tuple[int | Literal["R"], ...], str]] = {
-    "perception/observation_index": ("i4", (), "which observation"),
-    "perception/camera_index": ("i4", (), "of interface.policy.CAMERAS"),
-    "perception/joint_visible": ("b1", (len(JOINTS),), "in the image, and nothing but its own limb before it"),
-    "perception/landmark_error_px": ("f4", (len(JOINTS),), "[px] to the joint centre; NaN: hidden or no person found"),
-    "perception/human_iou": ("f4", (), "of the human mask with the true one; NaN: the policy did not request masks"),
-    "perception/target_error_m": (
-        "f4",
-        ("R", 3),
-        "[m] from the true place to the one that the state machine finds: along and across the limb's shadow on the "
-        "floor, up; NaN: not found, or not requested",
-    ),
-}
-"""Path -> dtype, shape after N with R for the number of the header's regions, meaning. N rows, one for each camera and
-observation in which the policy requested landmarks or masks."""
+PERCEPTION = tuple(path for path in OPTIONAL_ARRAYS if path.startswith("perception/"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,23 +110,13 @@ class PerceptionErrors:
 
 
 def perception_errors(recording: Recording) -> PerceptionErrors | None:
-    """Return the errors of perception; None where no perception was requested.
-
-    Raises RecordingError naming an array that is missing or has another dtype or shape.
-    """
-    if not any(path in recording.arrays for path in ARRAYS):
+    """Return the errors of perception, None where none was requested. Raises RecordingError for malformed arrays."""
+    absent = [path for path in PERCEPTION if path not in recording]
+    if len(absent) == len(PERCEPTION):
         return None
-    got: dict[str, npt.NDArray[Any]] = {}
-    rows: int | None = None
-    for path, (dtype, after, _) in ARRAYS.items():
-        array = recording.arrays.get(path)
-        if array is None:
-            raise RecordingError(f"{path} is missing though other arrays of its group are there")
-        rows = len(array) if rows is None and array.ndim else rows
-        shape = (rows, *(len(recording.header.regions) if size == "R" else size for size in after))
-        if array.dtype.newbyteorder("<") != np.dtype(dtype).newbyteorder("<") or array.shape != shape:
-            raise RecordingError(f"{path} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}")
-        got[path.partition("/")[2]] = array
+    if absent:
+        raise RecordingError(f"{absent[0]} is missing though other arrays of its group are there")
+    got: dict[str, Any] = {path.partition("/")[2]: recording[path] for path in PERCEPTION}
     index = got.pop("camera_index")
     if ((index < 0) | (index >= len(CAMERAS))).any():
         raise RecordingError(f"perception/camera_index: expected 0 to {len(CAMERAS) - 1}")

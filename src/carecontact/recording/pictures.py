@@ -73,7 +73,8 @@ class _Film:
 
     def add(self, index: int, picture: npt.NDArray[Any]) -> int:
         """Return the number of bytes that the picture takes."""
-        planes = _planes(picture)
+        # The bytes of the picture, first those of the lowest place in each number.
+        planes = np.ascontiguousarray(picture.reshape(-1).view(np.uint8).reshape(-1, picture.itemsize).T).reshape(-1)
         changed = planes if self._before is None else planes - self._before
         self._before, self._shape = planes, picture.shape
         self._parts.append(zlib.compress(changed.data, FAST))
@@ -87,17 +88,8 @@ class _Film:
         yield "shape", np.array(self._shape, "<i4")
 
 
-def _planes(picture: npt.NDArray[Any]) -> Bytes:
-    """Return the bytes of a contiguous picture, first those of the lowest place in each number."""
-    return np.ascontiguousarray(picture.reshape(-1).view(np.uint8).reshape(-1, picture.itemsize).T).reshape(-1)
-
-
 class Pictures(Mapping[Key, npt.NDArray[Any]]):
-    """The pictures of a recording, in the order of their observations; colour before depth. A picture of a film is made
-    when it is used, in the least time if they are used in order.
-
-    Raises RecordingError for a film that is damaged.
-    """
+    """The pictures by observation, colour before depth. Raises RecordingError for a damaged film."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording, self._title = recording, recording.header.spec.trial_id
@@ -117,17 +109,10 @@ class Pictures(Mapping[Key, npt.NDArray[Any]]):
         self._paths = dict(sorted(found.items(), key=lambda item: (item[0][0], item[0][2] == "depth", item[0][1])))
 
     def __getitem__(self, key: Key) -> npt.NDArray[Any]:
-        path = self._paths[key]
-        return self._of_film(path, self._place[key], key[2]) if key in self._place else self._recording[path]
-
-    def __iter__(self) -> Iterator[Key]:
-        return iter(self._paths)
-
-    def __len__(self) -> int:
-        return len(self._paths)
-
-    def _of_film(self, film: str, number: int, modality: str) -> npt.NDArray[Any]:
-        dtype, shape = np.dtype(DTYPES[modality]), tuple(self._part(film, "shape").tolist())
+        film = self._paths[key]
+        if key not in self._place:
+            return self._recording[film]
+        number, dtype, shape = self._place[key], np.dtype(DTYPES[key[2]]), tuple(self._part(film, "shape").tolist())
         size = int(np.prod(shape, dtype=object)) * dtype.itemsize
         if not 0 < size <= MAX_PICTURE_BYTES or min(shape) < 0:
             raise RecordingError(f"{self._title}: {film}/shape is {shape}, which no picture has")
@@ -138,6 +123,12 @@ class Pictures(Mapping[Key, npt.NDArray[Any]]):
             planes = planes + self._changed(film, step, size)
         self._shown[film] = number, planes
         return np.ascontiguousarray(planes.reshape(dtype.itemsize, -1).T).reshape(-1).view(dtype).reshape(shape)
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
 
     def _changed(self, film: str, number: int, size: int) -> Bytes:
         end, data = self._part(film, "end"), self._recording[f"{film}/data"]

@@ -54,11 +54,7 @@ def package_versions(segmenter: str = "mediapipe") -> dict[str, str]:
 
 
 def missing_suppliers(versions: Mapping[str, str]) -> list[str]:
-    """Name and version of the packages that supplied rows for a recording and are not installed here.
-
-    Args:
-        versions: of a recording's header.
-    """
+    """Name and version of packages that supplied rows for a recording, by its header, and are not installed."""
     known = {"python", "carecontact", *PACKAGES, *(name for names in SEGMENTER_PACKAGES.values() for name in names)}
     return [f"{name} {versions[name]}" for name in sorted(versions.keys() - known) if installed_version(name) is None]
 
@@ -72,8 +68,7 @@ RENDERER = "wall/renderer"
 
 
 def provenance_of(recording: Recording) -> dict[str, str]:
-    """Return ``arithmetic`` and ``renderer``, as far as recorded, the hashes of the compiled ``model`` and of the
-    ``kernel``'s binary, and the ``origin`` of a recording that is not ``isolated``."""
+    """Return what computed and drew a recording, as far as recorded: see ``TrialScore.provenance``."""
     texts = {"arithmetic": ARITHMETIC, "renderer": RENDERER}
     found = {
         name: recording[path].tobytes().decode(errors="replace") for name, path in texts.items() if path in recording
@@ -98,11 +93,8 @@ def arithmetic() -> str:
 
     libraries, none = cast("list[dict[str, str]]", threadpool_info()), dict[str, str]()
     # scipy brings its own.
-    row = min((row for row in libraries if row["user_api"] == "blas"), key=_is_foreign, default=none)
+    blas = (row for row in libraries if row["user_api"] == "blas")
+    row = min(blas, key=lambda row: "numpy" not in row["filepath"], default=none)
     algebra = " ".join(row[key] for key in ("internal_api", "version", "architecture") if row.get(key))
     library = " ".join(filter(None, platform.libc_ver())) or "an unknown C library"
     return f"{algebra or 'unknown linear algebra'} on {platform.machine()} with {library}"
-
-
-def _is_foreign(row: dict[str, str]) -> bool:
-    return "numpy" not in row["filepath"]

@@ -38,18 +38,15 @@ def alike(why: str) -> str:
 
 
 def reason_of(failure: Failure) -> str:
-    """Return what ``reason`` does, but keep what is not a traceback as it is: no program may choose the reason of a
-    failure."""
+    """Return ``reason`` of a traceback, and any other message whole: no program may choose the reason of a failure."""
     if failure.kind in _PLAIN:
         return " ".join(failure.message.partition(PRINTED)[0].split())
     return reason(failure.message)
 
 
 def reason(message: str) -> str:
-    """Return the line of a failure that says why: the exception under its last traceback, else the first line.
-
-    What a policy printed is not a reason, whatever it looks like.
-    """
+    """Return the line of a failure that says why: the exception under its last traceback, else the first line. What a
+    policy printed is not a reason."""
     why = message.partition(PRINTED)[0]
     _, trace, after = why.rpartition(TRACEBACK)
     lines = after.splitlines() if trace else why.splitlines()[1:]
@@ -84,10 +81,7 @@ LOOKS = "looks like"
 
 
 def remedies(message: str) -> list[str]:
-    """Return a sentence for each refusal of REMEDIES that the message of a failure names; mostly none.
-
-    A refusal that says itself what the answer looks like needs none.
-    """
+    """Return a sentence for each refusal of REMEDIES in a message that does not itself show a right answer."""
     if LOOKS in message:
         return []
     return [remedy for part, remedy in REMEDIES.items() if part in message]

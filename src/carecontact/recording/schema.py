@@ -2,7 +2,7 @@
 
 S segments, J scored human joints, R regions (``Protocol.regions``), T physics steps from t = 0 to the end, P control
 periods, A observations, M executed actions, C declared cells of the target region, V = 4 cameras in the contract's
-order, E changes of posture. World frame unless stated otherwise; SI units.
+order, E changes of posture, L views with landmarks or masks. World frame unless stated otherwise; SI units.
 """
 
 from __future__ import annotations
@@ -107,6 +107,12 @@ OPTIONAL_ARRAYS: dict[str, tuple[str, str]] = {
     "scorer/repositioning_rad": ("f8", "(E,) by which turn of the shoulder's abduction"),
     "report/peak_pose_camera_in_world": ("f8", "(7,) of the camera of ``report/peak_rgb``: x right, y down, z ahead"),
     "report/peak_focal_px": ("f8", "(1,) its focal length; the optical axis meets the picture in its middle"),
+    "perception/observation_index": ("i4", "(L,) which observation"),
+    "perception/camera_index": ("i4", "(L,) of interface.policy.CAMERAS"),
+    "perception/joint_visible": ("b1", "(L, 12) in the image, and nothing but its own limb before it: notes.JOINTS"),
+    "perception/landmark_error_px": ("f4", "(L, 12) to the joint's centre; NaN: hidden or no person found"),
+    "perception/human_iou": ("f4", "(L,) of the human mask with the true one; NaN: no masks requested"),
+    "perception/target_error_m": ("f4", "(L, R, 3) from the true place to the one that the state machine finds"),
     "scorer/withdrawal_s": ("f8", "(3,) when the person withdrew the arm, or was about to; -1 where it did not"),
 }
 """Arrays that are there only where they were used, with dtype and meaning. The arrays of cells are in every trial on a
@@ -117,12 +123,14 @@ protocol: on a body of another build, and where the seed draws the tissue. ``pol
 every observation. ``scorer/beside_*`` are there where another
 part of the robot than its tip (``interface.robot.Tip``) touched the person. What the person does by itself is there
 where the protocol lets it do something
-(``protocol.person``). These paths are allowed as well:
+(``protocol.person``). ``perception/*`` has L rows, one for each camera and observation in which the policy requested
+landmarks or masks; its target errors are along and across the limb's shadow on the floor, and up, NaN where no place
+was found or requested. These paths are allowed as well:
 ``policy/frames/<index>/<camera>/<modality>`` and ``policy/film/<camera>/<modality>/*`` (``recording.pictures``),
 ``policy/notes/<index>/*`` (``recording.notes``), ``report/peak_rgb``
 (H, W, 3) u1, ``report/snapshot_rgb`` (H, W, 3) u1, ``report/peak_time_s`` (1,), ``report/skin_in_world`` (N, 3) f4 [m],
 the skin round the target region, dented as at the peak, with its triangles ``report/skin_faces`` (F, 3) i4,
-``perception/*`` (``recording.notes``), and ``wall/*``, the only place for what may differ between two runs of the
+and ``wall/*``, the only place for what may differ between two runs of the
 same trial: it is outside the canonical hash. ``wall/isolation`` holds, as text, how far the policy's process was
 isolated, ``wall/policy_output`` what it printed last, ``wall/act_s`` (A,) the wall time [s] from each observation's
 leaving until its answer, ``wall/between_acts_s`` (A - 1,) that from each answer until the next observation left, and
@@ -215,8 +223,7 @@ class Recording:
 
     @classmethod
     def trusted(cls, header: Header, arrays: Mapping[str, npt.NDArray[Any]], *, sha256: str = "") -> Self:
-        """Return a recording without checking it: of a file that ``recording.file`` has verified, or of a scripted
-        contact, which has some of the arrays only."""
+        """Return a recording without checking it: of a verified file, or of some arrays of a scripted contact."""
         made = object.__new__(cls)
         for name, value in (("header", header), ("arrays", arrays), ("stored_sha256", sha256)):
             object.__setattr__(made, name, value)
@@ -243,10 +250,7 @@ class Recording:
 
 
 def empty_arrays(joint_count: int, *, regions: int = len(STANDARD_REGIONS)) -> dict[str, npt.NDArray[Any]]:
-    """Return all required arrays at zero length, for trials that ended before t = 0.
-
-    ``joint_count``, ``regions``: how many scored joints and regions the header lists.
-    """
+    """Return all required arrays at zero length, for trials that ended before t = 0."""
     sizes = {"T": 0, "S": len(SEGMENTS), "J": joint_count, "R": regions, "P": 0, "A": 0, "M": 0, "K": 0, "n": 0}
     shapes = {path: [sizes[d] if d in sizes else int(d) for d in dimensions(path)] for path in ARRAYS}
     return {path: np.zeros(shape, np.dtype(ARRAYS[path][0]).newbyteorder("<")) for path, shape in shapes.items()}
@@ -259,8 +263,7 @@ def dimensions(path: str) -> list[str]:
 
 
 def check_version(version: object, place: str) -> None:
-    """Raises RecordingError, which begins with ``place`` and names the release to use, for another schema than
-    SCHEMA_VERSION."""
+    """Raises RecordingError, which names the release to use, for another schema than SCHEMA_VERSION."""
     if version in READ_BY_0_1_0:
         raise RecordingError(
             f"{place}: schema {version!r} was written by carecontact 0.1.0 or before; release {RELEASE_0_1_0} reads it"
@@ -274,8 +277,7 @@ def check_version(version: object, place: str) -> None:
 
 
 def check_recording(header: Header, arrays: Mapping[str, npt.NDArray[Any]], place: str) -> None:
-    """Raises RecordingError, which begins with ``place``, as ``Recording`` does. Of the arrays, it looks at dtype and
-    shape alone, so that those of a file need not be read."""
+    """Raises RecordingError as ``Recording`` does. It looks at dtypes and shapes alone: arrays need not be read."""
     check_header(header, place)
     if missing := sorted(ARRAYS.keys() - arrays.keys()):
         raise RecordingError(f"{place}: missing from its required arrays: {', '.join(missing)}")
@@ -317,26 +319,19 @@ def check_header(header: Header, place: str) -> None:
     check_version(header.schema_version, place)
     if header.spec.task_id not in {t.id for t in header.spec.protocol.tasks}:
         raise RecordingError(f"{place}: task {header.spec.task_id!r} is not in protocol {header.spec.protocol.id!r}")
-    _check_names(header, place)
+    # Columns are found by their names: each name occurs once, and every name that the task's score needs is there.
+    region = header.spec.protocol.task(header.spec.task_id).region
+    neighbours = header.spec.protocol.contact.neighbourhood[region]
+    for name, listed, needed in (
+        ("segments", header.segments, [REGIONS[region].segment, *neighbours]),
+        ("regions", header.regions, [region]),
+        ("human_joints", header.human_joints, list[str]()),
+    ):
+        if len(set(listed)) != len(listed):
+            raise RecordingError(f"{place}: header.{name} names something twice: {', '.join(listed)}")
+        if absent := [each for each in needed if each not in listed]:
+            raise RecordingError(f"{place}: {absent[0]!r} is not in header.{name}; listed: {', '.join(listed)}")
     if len(header.pose_base_in_world) != 7:
         raise RecordingError(f"{place}: pose_base_in_world has {len(header.pose_base_in_world)} numbers, expected 7")
     if not all(isfinite(number) for number in header.pose_base_in_world):
         raise RecordingError(f"{place}: pose_base_in_world holds {header.pose_base_in_world}; expected finite numbers")
-
-
-def _check_names(header: Header, place: str) -> None:
-    """Columns are found by their names: each name occurs once, and every name that the task's score needs is there."""
-    protocol = header.spec.protocol
-    region = protocol.task(header.spec.task_id).region
-    needed = {
-        "segments": [REGIONS[region].segment, *protocol.contact.neighbourhood[region]],
-        "regions": [region],
-        "human_joints": list[str](),
-    }
-    for name, wanted in needed.items():
-        listed: list[str] = getattr(header, name)
-        if len(set(listed)) != len(listed):
-            raise RecordingError(f"{place}: header.{name} names something twice: {', '.join(listed)}")
-        absent = [w for w in wanted if w not in listed]
-        if absent:
-            raise RecordingError(f"{place}: {absent[0]!r} is not in header.{name}; listed: {', '.join(listed)}")

@@ -1,37 +1,85 @@
-"""The rows of a dataset, made of recorded trials in many processes."""
+"""The rows of a dataset, made of recorded trials in many processes, with pictures that a policy would have received.
+
+States between two that a recording stores are stepped again (``replay.replay``), and each observation is built as in a
+trial, with the trial's own noise and errors of calibration, but at any time and for any card.
+"""
 
 from __future__ import annotations
 
 import os
-import signal
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from carecontact.errors import DependencyError, RecordingError
+from carecontact.episode.randomization import calibration, sensor_noise, with_draws_of
+from carecontact.errors import RecordingError
 from carecontact.interface.learned import cloud, square
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.recording import read_recording
 from carecontact.recording.lerobot import Clip, Episode, Stream, histogram_of, rows_of
 from carecontact.recording.schema import Recording
-from carecontact.replay.film import THREADS, write_mp4
-from carecontact.replay.observations import Resensed
-from carecontact.replay.replay import ReplayQuality
+from carecontact.replay.film import begin_drawing, drawing_processes, write_mp4
+from carecontact.replay.replay import STATE, Replay, ReplayQuality
+from carecontact.scoring.foam import RecordedWiping
+from carecontact.sensing.builder import ObservationBuilder
+from carecontact.sensing.keypoints import PoseEstimator
+from carecontact.sim.rendering import SceneRenderer
 
 KEYFRAME_EVERY = {"g": "2"}
 """Option of x264: every second picture of a film is whole, so that any row is found in two steps. So does lerobot
 (huggingface/lerobot 7427f318, src/lerobot/configs/video.py)."""
 CLOUD = ("x", "y", "z", "red", "green", "blue")
 """Numbers of a point: place in base [m], and colour in [0, 1]."""
+
+
+class Resensed:
+    """A recorded trial as a policy with another card would have seen it."""
+
+    def __init__(self, recording: Recording, card: PolicyCard) -> None:
+        """Raises RecordingError, SceneError and SettleError as ``Replay``."""
+        self._recording, self._card, self.quality = recording, card, ReplayQuality()
+        self._replay = Replay(recording)
+
+    def observations(self, hz: float) -> Iterator[Observation]:
+        """Yield the observation at each k / hz from t = 0 until the last action has ended. Call it once."""
+        spec, replay = self._recording.header.spec.opened, self._replay
+        simulation, model = replay.simulation, replay.model
+        protocol = with_draws_of(spec.protocol, simulation.protocol)
+        wiping, foam, shown = RecordedWiping.of(self._recording), replay.scene.foam, None
+        data = mujoco.MjData(model)
+        known = calibration(protocol, spec.seed, salt=spec.salt)
+        with SceneRenderer(model, protocol=protocol, calibration=known) as renderer:
+            builder = ObservationBuilder(
+                renderer,
+                self._card,
+                protocol,
+                PoseEstimator(),
+                noise=sensor_noise(protocol, spec.seed, salt=spec.salt, noise_salt=spec.noise_salt),
+            )
+            for stretch in replay.stretches(hz):
+                self.quality.take(stretch)
+                for step, state in zip(stretch.steps, stretch.states, strict=True):
+                    if step == replay.step_count:
+                        return
+                    time_s = float(step) * replay.dt_s
+                    if wiping is not None and foam is not None:
+                        left = wiping.until(time_s).left
+                        if shown is None or (left != shown).any():
+                            shown = left.copy()
+                            foam.paint(model, shown)
+                            renderer.skin_changed()
+                    mujoco.mj_setState(model, data, state, STATE)
+                    mujoco.mj_kinematics(model, data)
+                    mujoco.mj_comPos(model, data)
+                    mujoco.mj_camlight(model, data)
+                    yield builder.build(data, instruction=protocol.task(spec.task_id).prompt, sim_time_s=time_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,17 +101,8 @@ class Rendering:
         return PolicyCard(name="dataset", modalities=modalities, cameras=tuple(self.sizes))
 
     def episode(self, recording: Recording, *, success: bool, folder: Path) -> tuple[Episode, ReplayQuality]:
-        """Return the rows and pictures of a trial, and how its states were found.
-
-        Args:
-            success: whether the trial passed its gate safely.
-            folder: for films, until a dataset takes them.
-
-        Raises:
-            RecordingError: the trial did no action, or another release or machine recorded it, so that its states could
-                only be guessed.
-            DependencyError: films need PyAV.
-        """
+        """Return a trial's rows and pictures. Raises RecordingError for a trial without an action or whose states could
+        only be guessed."""
         spec, resensed = recording.header.spec, Resensed(recording, self.card)
         rng = np.random.default_rng(spec.seed)
         bounds = spec.protocol.impedance.action_bounds
@@ -97,33 +136,16 @@ class Rendering:
 def rendered(
     run: Path, trials: Sequence[str], rendering: Rendering, *, passed: Sequence[str], jobs: int | None
 ) -> Iterator[tuple[str, Episode | str]]:
-    """Yield each trial with its episode, or why it has none, in their order.
-
-    Args:
-        passed: the trials that passed their gate safely.
-        jobs: processes; by default one per core.
-
-    Raises DependencyError where nothing can be rendered or written, or a process was killed.
-    """
+    """Yield each trial in order with its episode, or why it has none. Raises DependencyError."""
     with tempfile.TemporaryDirectory(prefix=".rendering-", dir=run) as folder:
         work = partial(_work, run=run, rendering=rendering, passed=frozenset(passed), folder=Path(folder))
-        pool = ProcessPoolExecutor(jobs or _cores(), mp_context=get_context("spawn"), initializer=_begin)
-        try:
+        killed = "a process that renders was killed, perhaps for memory: try --jobs 1"
+        with drawing_processes(jobs or _cores(), begin_drawing, killed=killed) as pool:
             yield from zip(trials, pool.map(work, trials), strict=True)
-        except BrokenProcessPool:
-            raise DependencyError("a process that renders was killed, perhaps for memory: try --jobs 1") from None
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _begin() -> None:
-    # An interruption ends the process that waits for these, which then ends them.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.setdefault(THREADS, "0")
 
 
 def _work(trial_id: str, *, run: Path, rendering: Rendering, passed: frozenset[str], folder: Path) -> Episode | str:

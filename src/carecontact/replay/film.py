@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
@@ -109,7 +110,10 @@ class Painter:
         if what.story is None:
             return picture
         if inset is not None:
-            _put_inset(picture, inset)
+            height, width = inset.shape[:2]
+            x, y = 20, picture.shape[0] - height - 20
+            box(picture, x - 2, y - 2, x + width + 2, y + height + 2, PAPER)
+            picture[y : y + height, x : x + width] = inset
         _write_events(picture, what.story.events, moment.time_s)
         if moment.kind not in self._panels:
             self._panels[moment.kind] = Panel(what.story, note=KIND_TEXTS[moment.kind])
@@ -124,13 +128,6 @@ class Painter:
         mujoco.mj_setState(model, self._data, moment.state, STATE)
         mujoco.mj_kinematics(model, self._data)
         mujoco.mj_camlight(model, self._data)
-
-
-def _put_inset(picture: Picture, inset: Picture) -> None:
-    height, width = inset.shape[:2]
-    x, y = 20, picture.shape[0] - height - 20
-    box(picture, x - 2, y - 2, x + width + 2, y + height + 2, PAPER)
-    picture[y : y + height, x : x + width] = inset
 
 
 def _write_events(picture: Picture, events: list[Event], time_s: float) -> None:
@@ -152,44 +149,30 @@ _what: Picturing | None = None
 """What all frames have in common, in a drawing process."""
 
 
-def drawn(what: Picturing, batches: Iterable[list[Moment]], *, jobs: int) -> Generator[Picture, None, None]:
-    """Yield the frames of all batches in their order.
-
-    Args:
-        jobs: number of processes that draw; 1 draws in this one.
-
-    Raises:
-        DependencyError: nothing can be rendered, or a drawing process was killed.
-    """
-    if jobs == 1:
-        with Painter(what) as painter:
-            for batch in batches:
-                yield from painter.frames(batch)
-        return
-    # Processes are spawned: one that is forked after this one has rendered anything would wait for ever.
-    sent = pickle.dumps(what)
-    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(sent,))
-    waiting: deque[Future[list[Picture]]] = deque()
+@contextmanager
+def drawing_processes(
+    jobs: int, initializer: Callable[..., None], *arguments: object, killed: str
+) -> Generator[ProcessPoolExecutor]:
+    """Spawned processes: a forked one would wait for ever once this one has rendered. Raises DependencyError where one
+    was killed."""
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=initializer, initargs=arguments)
     try:
-        for batch in batches:
-            waiting.append(pool.submit(_draw, batch))
-            if len(waiting) >= AHEAD * jobs:
-                yield from waiting.popleft().result()
-        while waiting:
-            yield from waiting.popleft().result()
+        yield pool
     except BrokenProcessPool:
-        raise DependencyError(
-            "a process that draws the video was killed, perhaps for memory: try again with --jobs 1"
-        ) from None
+        raise DependencyError(killed) from None
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _begin(sent: bytes) -> None:
-    global _what
+def begin_drawing() -> None:
     # An interruption ends the process that waits for these, which then ends them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.setdefault(THREADS, "0")
+
+
+def _begin(sent: bytes) -> None:
+    global _what
+    begin_drawing()
     plugin.load_plugins()  # without which a model with soft tissue cannot be unpacked
     _what = pickle.loads(sent)
 
@@ -266,15 +249,23 @@ class Film:
         return int(self.replay.step_count * self.replay.dt_s * self._fps + 1e-9) + 1
 
     def frames(self, begin_s: float = 0.0, end_s: float = np.inf, *, jobs: int = 1) -> Generator[Picture, None, None]:
-        """Yield a picture (height, width, 3) for each frame between two times, by default of the whole trial.
-
-        Args:
-            jobs: number of processes that draw. The pictures do not depend on it.
-
-        Raises:
-            DependencyError: nothing can be rendered here.
-        """
-        yield from drawn(replace(self._what, view=self.view), self._batches(begin_s, end_s), jobs=jobs)
+        """Yield a picture for each frame between two times, drawn in ``jobs`` processes or in this one. Raises
+        DependencyError where nothing can be rendered, or one of them was killed."""
+        what, batches = replace(self._what, view=self.view), self._batches(begin_s, end_s)
+        if jobs == 1:
+            with Painter(what) as painter:
+                for batch in batches:
+                    yield from painter.frames(batch)
+            return
+        killed = "a process that draws the video was killed, perhaps for memory: try again with --jobs 1"
+        waiting: deque[Future[list[Picture]]] = deque()
+        with drawing_processes(jobs, _begin, pickle.dumps(what), killed=killed) as pool:
+            for batch in batches:
+                waiting.append(pool.submit(_draw, batch))
+                if len(waiting) >= AHEAD * jobs:
+                    yield from waiting.popleft().result()
+            while waiting:
+                yield from waiting.popleft().result()
 
     def _batches(self, begin_s: float, end_s: float) -> Iterator[list[Moment]]:
         """Frames with one small picture of the room in common."""
@@ -313,13 +304,7 @@ def write_mp4(
     comment: Callable[[], str] | str,
     more: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a video as a whole or not at all.
-
-    Args:
-        frames: (H, W, 3) each, of one size with even sides.
-        comment: kept in the file's metadata, where ``comment_of`` finds it.
-        more: further options of x264.
-    """
+    """Write a video of frames of one size with even sides, whole or not at all; ``comment_of`` finds the comment."""
     av, part = pyav(), path.with_name(path.name + PART)
     rate = Fraction(fps).limit_denominator(1000)
     try:
@@ -352,10 +337,7 @@ def comment_of(path: Path) -> str | None:
 
 
 def write_gif(path: Path, frames: Iterable[Picture], *, fps: float, colours: int = 128) -> None:
-    """Write a looping animation with one palette for all frames.
-
-    Raises RecordingError where there is no frame.
-    """
+    """Write a looping animation with one palette. Raises RecordingError where there is no frame."""
     pictures = [Image.fromarray(frame) for frame in frames]
     if not pictures:
         raise RecordingError(f"{path}: no frame to write")

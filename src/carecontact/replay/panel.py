@@ -21,7 +21,7 @@ from carecontact.report.force_trace import LIMIT_IN_VIEW, ForceTrace, decimate, 
 from carecontact.report.svg import nice_ticks
 from carecontact.report.timeline import TOLD_ENDS, Event, events
 from carecontact.scoring import score_recording
-from carecontact.scoring.contact import Contact, find_contact
+from carecontact.scoring.contact import find_contact
 
 Picture = npt.NDArray[np.uint8]
 Colour = tuple[int, int, int]
@@ -101,14 +101,14 @@ def box(picture: Picture, x0: float, y0: float, x1: float, y1: float, colour: Co
     picture[round(y0) : round(y1), round(x0) : round(x1)] = colour
 
 
-def wrapped(words: str, size: int, width: float, *, bold: bool = False, lines: int = 2) -> list[str]:
-    """Text in at most ``lines`` lines of a width [px]; the last ends in an ellipsis where more would follow."""
+def wrapped(words: str, size: int, width: float) -> list[str]:
+    """Text in at most two lines of a width [px]; the second ends in an ellipsis where more would follow."""
     out: list[str] = [""]
     for word in words.split():
         longer = f"{out[-1]} {word}".strip()
-        if text_width(longer, size, bold=bold) <= width or not out[-1]:
+        if text_width(longer, size) <= width or not out[-1]:
             out[-1] = longer
-        elif len(out) < lines:
+        elif len(out) < 2:
             out.append(word)
         else:
             out[-1] += " …"
@@ -148,8 +148,7 @@ class RegionMap:
     """Words for the direction in which the first coordinate grows."""
 
     def at(self, time_s: float) -> tuple[F64, npt.NDArray[np.bool_]]:
-        """Return the (C,) pressure [kPa] in the control period at a time, and (C,) which cells were touched until
-        then."""
+        """Return the (C,) pressure [kPa] in the control period at a time, and (C,) which cells were touched so far."""
         row = int(np.searchsorted(self.period_s, time_s - 1e-9))
         if row >= len(self.period_s):
             return np.zeros(len(self.places_m)), np.any(self.pressure_kpa > 0, axis=0)
@@ -171,6 +170,7 @@ class Story:
     """(P,) largest indentation of the named region"""
     duration_s: float
     events: list[Event]
+    """Those of the trial's page, between the start and how the trial ended."""
     map: RegionMap | None
     """None where the region is rigid."""
     verdict: str
@@ -183,6 +183,9 @@ def story_of(recording: Recording) -> Story:
     trace = force_trace(recording, score)
     column = header.regions.index(task.region)
     duration = len(recording["scorer/time_s"]) * spec.protocol.physics.dt_s
+    found = [Event(time_s=0.0, text="start"), *events(find_contact(recording))]
+    if header.ended not in TOLD_ENDS:
+        found.append(Event(time_s=duration, text=ended_text(header.ended)))
     passed = "safety-gated" if score.safety_gated else "region-correct" if score.region_correct else "success"
     return Story(
         title=spec.trial_id,
@@ -194,19 +197,10 @@ def story_of(recording: Recording) -> Story:
         depth_s=recording["scorer/period_time_s"],
         depth_mm=1000.0 * recording["scorer/indentation_m"][:, column],
         duration_s=duration,
-        events=_events(find_contact(recording), duration),
+        events=found,
         map=_map(recording, task.region),
         verdict=f"{ended_text(header.ended)}: {passed if score.c3_success else 'no success'}",
     )
-
-
-def _events(contact: Contact, duration_s: float) -> list[Event]:
-    """Return those of the trial's page, between the start and how the trial ended."""
-    ended = contact.recording.header.ended
-    found = [Event(time_s=0.0, text="start"), *events(contact)]
-    if ended not in TOLD_ENDS:
-        found.append(Event(time_s=duration_s, text=ended_text(ended)))
-    return found
 
 
 def _map(recording: Recording, region: str) -> RegionMap | None:
@@ -332,7 +326,9 @@ class _CellMap:
         self._top_kpa = max(float(cells.pressure_kpa.max()), 1.0)
         low, high = cells.places_m.min(0), cells.places_m.max(0)
         left, top, right, bottom = MAP
-        self._side = _spacing(cells.places_m)
+        apart = np.abs(cells.places_m[:, None] - cells.places_m[None]).max(2)
+        np.fill_diagonal(apart, np.inf)
+        self._side = float(np.median(apart.min(1)))  # the distance to the nearest neighbour, for most of the cells
         wide, tall = high - low + self._side
         self._scale = min((right - left) / wide, (bottom - top) / tall)
         offset = (cells.places_m - (low + high) / 2) * self._scale
@@ -353,18 +349,10 @@ class _CellMap:
         colours = np.where(touched[:, None], np.array(TOUCHED, np.uint8), np.array(UNTOUCHED, np.uint8))
         pressed = pressure > LEAST_KPA
         colours[pressed] = heat(pressure[pressed] / self._top_kpa)
-        changed = touched | pressed
-        self._squares(out, colours, only=changed)
+        self._squares(out, colours, only=touched | pressed)
 
     def _squares(self, out: Picture, colours: npt.NDArray[np.uint8], only: npt.NDArray[np.bool_] | None = None) -> None:
         half = self._side * self._scale / 2 - 0.5
         for k in range(len(self._centre)) if only is None else np.flatnonzero(only):
             x, y = self._centre[k]
             out[round(y - half) : round(y + half), round(x - half) : round(x + half)] = colours[k]
-
-
-def _spacing(places: npt.NDArray[np.float64]) -> float:
-    """Distance to the nearest neighbour, for most of the cells."""
-    apart = np.abs(places[:, None] - places[None]).max(2)
-    np.fill_diagonal(apart, np.inf)
-    return float(np.median(apart.min(1)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,16 +22,11 @@ from carecontact.tissue.binary_lookup import binary_sha256 as kernel_sha256
 
 
 def recorded_actions(recording: Recording) -> list[Action]:
-    """Return the executed actions of a trial, in their order.
-
-    Stiffness, damping and feedforward are those in force, so that an action which kept them gives them again.
-    """
-    return [_action(recording, row) for row in range(len(recording["actions/time_s"]))]
+    """Return the executed actions in their order, with the stiffness, damping and feedforward in force."""
+    return [_action(recording.arrays, row) for row in range(len(recording["actions/time_s"]))]
 
 
-def _action(recording: Recording, row: int) -> Action:
-    arrays = recording.arrays
-
+def _action(arrays: Mapping[str, npt.NDArray[Any]], row: int) -> Action:
     def at(path: str) -> Any:
         """Return the entry of this action, None where nothing was commanded."""
         if path not in arrays or np.isnan(arrays[path][row]).any():
@@ -112,12 +107,7 @@ class Replay:
     """One recorded trial in a world that was built again."""
 
     def __init__(self, recording: Recording) -> None:
-        """Build the world of the recording and put it to t = 0.
-
-        Raises:
-            RecordingError: the trial ended before t = 0, or this release builds another world than the recorded one.
-            SceneError, SettleError: the world cannot be built.
-        """
+        """Build the world at t = 0. Raises RecordingError for a trial that ended before, or whose world differs."""
         header, self.recording = recording.header, recording
         self.title = header.spec.trial_id
         self.dt_s = header.spec.protocol.physics.dt_s
@@ -156,7 +146,9 @@ class Replay:
         for row, step in enumerate(steps):
             states[row] = run.go(int(step))
         landed = run.go(end)
-        off_m = self._off_m(steps, states)
+        path = self.recording["scorer/pose_tcp_in_world"][:, :3]
+        on_path = [(state, path[step]) for state, step in zip(states, steps, strict=True) if step < len(path)]
+        off_m = max((self._distance(state, place) for state, place in on_path), default=0.0)
         exact = np.array_equal(landed, following, equal_nan=True) if following is not None else off_m < 1e-6
         if following is not None and not exact:
             run.correct(following)
@@ -166,13 +158,6 @@ class Replay:
             share = (steps - self._stored_steps[k]) / (end - self._stored_steps[k])
             states = np.array([self._between(self.stored[k], following, float(s)) for s in share])
         return Stretch(steps=steps, states=states, kind=kind, off_m=off_m)
-
-    def _off_m(self, steps: npt.NDArray[np.int64], states: F64) -> float:
-        path = self.recording["scorer/pose_tcp_in_world"][:, :3]
-        return max(
-            (self._distance(state, path[step]) for step, state in zip(steps, states, strict=True) if step < len(path)),
-            default=0.0,
-        )
 
     def _distance(self, state: F64, place: npt.NDArray[Any]) -> float:
         return float(np.linalg.norm(self._place(state) - place))
@@ -225,19 +210,16 @@ class _Run:
         """Return the integration state at a step, which is not before the last one's."""
         due = sorted({*self._look_steps, *self._action_steps.tolist(), step})
         for end in (d for d in due if self._at < d <= step):
-            self._command()
+            # As the episode did at this step: an observation brings poses up to date, then the action begins.
+            if self._at in self._look_steps:
+                self._simulation.refresh()
+            while self._next < len(self._actions) and self._action_steps[self._next] <= self._at:
+                assert self._driver is not None
+                self._driver.apply(self._actions[self._next], self._period_s)
+                self._next += 1
             self._simulation.advance(end - self._at)
             self._at = end
         return self._simulation.integration_state()
-
-    def _command(self) -> None:
-        """What the episode did at this step: an observation brings poses up to date, then the action begins."""
-        if self._at in self._look_steps:
-            self._simulation.refresh()
-        while self._next < len(self._actions) and self._action_steps[self._next] <= self._at:
-            assert self._driver is not None
-            self._driver.apply(self._actions[self._next], self._period_s)
-            self._next += 1
 
 
 def _world(header: Header) -> Simulation:

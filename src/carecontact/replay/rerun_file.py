@@ -18,7 +18,7 @@ from carecontact.interface.geometry import matrix_from_quat
 from carecontact.interface.regions import REGIONS
 from carecontact.recording.pictures import Pictures
 from carecontact.recording.schema import Recording
-from carecontact.replay.panel import Story, heat, story_of
+from carecontact.replay.panel import heat, story_of
 from carecontact.replay.replay import STATE, Replay, ReplayQuality, Stretch
 from carecontact.replay.stage import FilmSkin
 from carecontact.world.robot import VISUAL_GROUP
@@ -28,84 +28,53 @@ HZ = 100.0
 """Rate of the plotted quantities; of each interval the largest sample is kept, so that no peak of force is lost."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Series:
-    path: str
-    label: str
-    time_s: npt.NDArray[np.float64]
-    """(N,)"""
-    values: npt.NDArray[np.float64]
-    """(N,)"""
+F64 = npt.NDArray[np.float64]
 
 
-def series_of(recording: Recording) -> Iterator[Series]:
-    """Force on each touched segment [N], indentation of each region [mm], margin of each joint to its end stops [deg],
-    speed of the tool [mm/s] and its distance from where it was commanded to be [mm]."""
+def series_of(recording: Recording) -> Iterator[tuple[str, str, F64, F64]]:
+    """Path, label, times [s] and values: force on touched segments, indentation, margins of joints, speed and lag of
+    the tool."""
     header, arrays = recording.header, recording.arrays
-    dt_s = header.spec.protocol.physics.dt_s
-    stride = max(1, round(1 / (HZ * dt_s)))
-    time_s = arrays["scorer/time_s"][::stride]
+    stride = max(1, round(1 / (HZ * header.spec.protocol.physics.dt_s)))
+    time_s, period_s = arrays["scorer/time_s"], arrays["scorer/period_time_s"]
     force = np.linalg.norm(arrays["scorer/force_human_from_robot_in_world"], axis=2)
     target = REGIONS[header.spec.protocol.task(header.spec.task_id).region].segment
     for column, segment in enumerate(header.segments):
         if segment == target or force[:, column].any():
-            path = f"force/{segment}"
-            yield Series(path=path, label=f"{segment} [N]", time_s=time_s, values=_largest(force[:, column], stride))
-    period = arrays["scorer/period_time_s"]
+            yield f"force/{segment}", f"{segment} [N]", time_s[::stride], _largest(force[:, column], stride)
     for column, region in enumerate(header.regions):
         depth = 1000.0 * arrays["scorer/indentation_m"][:, column]
-        yield Series(path=f"indentation/{region}", label=f"{region} [mm]", time_s=period, values=depth)
+        yield f"indentation/{region}", f"{region} [mm]", period_s, depth
     low, high = arrays["scorer/human_joint_range"].T
     angle = arrays["scorer/human_joint_position"][::stride].astype(np.float64)
     margin = np.degrees(np.minimum(angle - low, high - angle))
     for column, joint in enumerate(header.human_joints):
-        yield Series(path=f"joint_margin/{joint}", label=f"{joint} [deg]", time_s=time_s, values=margin[:, column])
-    speed = 1000.0 * _largest(arrays["scorer/tcp_speed"], stride)
-    yield Series(path="tool/speed", label="speed [mm/s]", time_s=time_s, values=speed)
-    yield _lag(recording, period)
+        yield f"joint_margin/{joint}", f"{joint} [deg]", time_s[::stride], margin[:, column]
+    yield "tool/speed", "speed [mm/s]", time_s[::stride], 1000.0 * _largest(arrays["scorer/tcp_speed"], stride)
+    base = np.array(header.pose_base_in_world)
+    commanded = arrays["scorer/target_in_base"][:, :3] @ matrix_from_quat(base[3:]).T + base[:3]
+    step = np.clip(np.searchsorted(time_s, period_s), 0, len(time_s) - 1)
+    off = np.linalg.norm(arrays["scorer/pose_tcp_in_world"][step, :3] - commanded, axis=1)
+    yield "tool/from_command", "from command [mm]", period_s, 1000.0 * off
 
 
-def _lag(recording: Recording, period_s: Any) -> Series:
-    base = np.array(recording.header.pose_base_in_world)
-    target = recording["scorer/target_in_base"][:, :3] @ matrix_from_quat(base[3:]).T + base[:3]
-    step = np.clip(np.searchsorted(recording["scorer/time_s"], period_s), 0, len(recording["scorer/time_s"]) - 1)
-    off = np.linalg.norm(recording["scorer/pose_tcp_in_world"][step, :3] - target, axis=1)
-    return Series(path="tool/from_command", label="from command [mm]", time_s=period_s, values=1000.0 * off)
-
-
-def _largest(values: npt.NDArray[Any], stride: int) -> npt.NDArray[np.float64]:
+def _largest(values: npt.NDArray[Any], stride: int) -> F64:
     return np.array([values[k : k + stride].max() for k in range(0, len(values), stride)], np.float64)
-
-
-F64 = npt.NDArray[np.float64]
 
 
 STILL_M = 3e-4
 """A part of the skin is sent again once one of its vertices has moved this far since it was sent last."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Solid:
-    """A drawn geom, in the frame of its body."""
-
-    name: str
-    body: str
-    """Name of the body; empty: the world."""
-    archetype: Any
-    """Archetype of Rerun."""
-
-
-def solids(model: mujoco.MjModel, rerun: Any) -> Iterator[Solid]:
-    """Geoms of the robot, of the furniture and of what lies about. ``rerun``: the module."""
+def solids(model: mujoco.MjModel, rerun: Any) -> Iterator[tuple[str, str, Any]]:
+    """Name, body and Rerun's archetype of each geom of the robot, of the furniture and of what lies about, in the frame
+    of its body."""
     for geom in range(model.ngeom):
         if model.geom_group[geom] not in (VISUAL_GROUP, FURNITURE_GROUP, LOOSE_GROUP) or model.geom_rgba[geom, 3] == 0:
             continue
         made = _archetype(model, geom, rerun)
         if made is not None:
-            body = model.body(model.geom_bodyid[geom]).name
-            yield Solid(
-                name=model.geom(geom).name or f"geom{geom}", body="" if body == "world" else body, archetype=made
-            )
+            yield model.geom(geom).name or f"geom{geom}", model.body(model.geom_bodyid[geom]).name, made
 
 
 def _archetype(model: mujoco.MjModel, geom: int, rerun: Any) -> Any:
@@ -114,15 +83,16 @@ def _archetype(model: mujoco.MjModel, geom: int, rerun: Any) -> Any:
     colour = np.round(255 * model.geom_rgba[geom]).astype(np.uint8)
     if kind == kinds.mjGEOM_MESH:
         mesh = model.mesh(model.geom_dataid[geom])
-        first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-        start, faces = int(mesh.faceadr[0]), int(mesh.facenum[0])
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-        vertices = model.mesh_vert[first : first + count] @ turn.reshape(3, 3).T + position
+        vertex, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        face = int(mesh.faceadr[0])
+        vertices = model.mesh_vert[vertex : vertex + count] @ matrix_from_quat(model.geom_quat[geom]).T + position
+        faces = model.mesh_face[face : face + int(mesh.facenum[0])]
         return rerun.Mesh3D(
-            vertex_positions=vertices, triangle_indices=model.mesh_face[start : start + faces],
-            vertex_normals=mesh_normals(vertices, model.mesh_face[start : start + faces]), albedo_factor=colour,
-        )  # fmt: skip
+            vertex_positions=vertices,
+            triangle_indices=faces,
+            vertex_normals=mesh_normals(vertices, faces),
+            albedo_factor=colour,
+        )
     at = {"centers": [position], "quaternions": [rerun.Quaternion(xyzw=quat)], "colors": [colour], "fill_mode": "solid"}
     if kind == kinds.mjGEOM_BOX:
         return rerun.Boxes3D(half_sizes=[size], **at)
@@ -211,12 +181,7 @@ def rerun_sdk() -> Any:
 
 
 def save(recording: Recording, path: Path, *, fps: float) -> ReplayQuality:
-    """Write the file as a whole or not at all; returns how its states were found.
-
-    Raises:
-        RecordingError: the recording cannot be shown.
-        DependencyError: Rerun's SDK is not installed.
-    """
+    """Write the file as a whole or not at all. Raises RecordingError, and DependencyError without Rerun's SDK."""
     rerun = rerun_sdk()
     part = path.with_name(f"{path.name}.part")
     try:
@@ -276,7 +241,6 @@ class _Writer:
             self._stretch(stretch)
         self._looks()
         self._plots()
-        self._events(self._story)
         return found
 
     def _log(self, path: str, what: Any, *, static: bool = False) -> None:
@@ -290,29 +254,27 @@ class _Writer:
         self._log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._paths: dict[str, str] = {}
         robot = self._model.body(self._replay.scene.robot.base_body).id
-        for solid in solids(self._model, rr):
-            parent = "world/room" if not solid.body else f"world/robot/{solid.body}"
-            if solid.body and self._model.body(solid.body).rootid[0] != robot:
-                parent = f"world/room/{solid.body}"
-            if solid.body:
-                self._paths[parent] = solid.body
-            self._log(f"{parent}/{solid.name}", solid.archetype, static=True)
+        for name, body, archetype in solids(self._model, rr):
+            parent = "world/room"
+            if body != "world":
+                parent = f"world/{'robot' if self._model.body(body).rootid[0] == robot else 'room'}/{body}"
+                self._paths[parent] = body
+            self._log(f"{parent}/{name}", archetype, static=True)
         path = self._recording["scorer/pose_tcp_in_world"][::10, :3]
         self._log("world/tcp_path", rr.LineStrips3D([path], colors=[[40, 110, 160]], radii=[0.0008]), static=True)
-        for camera in self._recording.header.spec.protocol.cameras:
-            self._camera(str(camera))
+        for name, camera in self._recording.header.spec.protocol.cameras.items():
+            lens = rr.Pinhole(
+                focal_length=self._focal_px(name),
+                width=camera.width,
+                height=camera.height,
+                camera_xyz=rr.ViewCoordinates.RDF,
+                image_plane_distance=0.12,
+            )
+            self._log(f"world/cameras/{name}", lens, static=True)
 
-    def _camera(self, name: str) -> None:
-        camera = self._recording.header.spec.protocol.cameras[name]  # pyright: ignore[reportArgumentType]
-        focal = 0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg))
-        self._log(
-            f"world/cameras/{name}",
-            self._rr.Pinhole(
-                focal_length=float(focal), width=camera.width, height=camera.height,
-                camera_xyz=self._rr.ViewCoordinates.RDF, image_plane_distance=0.12,
-            ),
-            static=True,
-        )  # fmt: skip
+    def _focal_px(self, name: Any) -> float:
+        camera = self._recording.header.spec.protocol.cameras[name]
+        return float(0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg)))
 
     def _stretch(self, stretch: Stretch) -> None:
         for step, state in zip(stretch.steps, stretch.states, strict=True):
@@ -333,11 +295,8 @@ class _Writer:
             self._log(f"world/cameras/{camera}", rr.Transform3D(translation=at.xpos, mat3x3=turn))
         tcp = data.site_xpos[model.site(self._replay.scene.robot.tcp_site).id]
         self._log("world/tcp", rr.Points3D([tcp], colors=[[40, 110, 160]], radii=[0.004]))
-        self._send_skin()
         self._send_contact(step)
-
-    def _send_skin(self) -> None:
-        vertices, normals = self._skin.placed(self._data)
+        vertices, normals = self._skin.placed(data)
         for part in self._parts:
             for mesh in part.changed(self._rr, vertices, normals):
                 self._log(part.path, mesh)
@@ -357,9 +316,7 @@ class _Writer:
             return
         header = self._recording.header
         pose = arrays["scorer/region_pose_in_world"][row, header.regions.index(self._region)].astype(np.float64)
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, pose[3:])
-        cells = arrays["scorer/cell_in_region"] @ turn.reshape(3, 3).T + pose[:3]
+        cells = arrays["scorer/cell_in_region"] @ matrix_from_quat(pose[3:]).T + pose[:3]
         pressure, _ = self._story.map.at(row * self._replay.dt_s)
         pressed = pressure > 0.05
         top = max(float(self._story.map.pressure_kpa.max()), 1.0)
@@ -383,10 +340,8 @@ class _Writer:
             self._log(f"world/cloud/{camera}", rr.Points3D(points, colors=colours, radii=[0.0025]))
 
     def _cloud(self, depth: Any, rgb: Any, name: str) -> tuple[F64, Any]:
-        """Return points of a depth image in the world, and their colours. The pose of the camera is that of the last
-        state shown."""
-        camera = self._recording.header.spec.protocol.cameras[name]  # pyright: ignore[reportArgumentType]
-        focal = 0.5 * camera.height / np.tan(0.5 * np.radians(camera.fovy_deg))
+        """Return a depth image's points in the world, and colours, for the camera's pose in the last state shown."""
+        focal = self._focal_px(name)
         rows, columns = (a.ravel() for a in np.mgrid[: depth.shape[0] : CLOUD_STRIDE, : depth.shape[1] : CLOUD_STRIDE])
         z = depth[rows, columns].astype(np.float64)
         there = np.isfinite(z)
@@ -399,18 +354,13 @@ class _Writer:
 
     def _plots(self) -> None:
         rr = self._rr
-        for series in series_of(self._recording):
-            self._stream.log(series.path, rr.SeriesLines(names=[series.label]), static=True)
-            self._stream.send_columns(
-                series.path,
-                indexes=[rr.TimeColumn(TIMELINE, duration=series.time_s)],
-                columns=rr.Scalars.columns(scalars=series.values),
-            )
+        for path, label, time_s, values in series_of(self._recording):
+            self._log(path, rr.SeriesLines(names=[label]), static=True)
+            column = rr.TimeColumn(TIMELINE, duration=time_s)
+            self._stream.send_columns(path, indexes=[column], columns=rr.Scalars.columns(scalars=values))
         gate = self._story.trace.gate_n
         self._at(0.0)
         self._log("events", rr.TextLog(f"safety gate of the {REGIONS[self._region].segment}: {gate:g} N"))
-
-    def _events(self, story: Story) -> None:
-        for event in story.events:
+        for event in self._story.events:
             self._at(event.time_s)
-            self._log("events", self._rr.TextLog(event.text))
+            self._log("events", rr.TextLog(event.text))

@@ -53,8 +53,7 @@ class Eye:
         return self.focal_px * local[:, :2] / depth[:, None] + middle, local[:, 2]
 
     def seen(self, depth: F32, every: int) -> F32:
-        """(H, W) depth [m] -> (h, w, 3) what each pixel shows, in the axes of the camera [m], for one pixel out of
-        ``every`` along both axes."""
+        """(H, W) depth [m] -> (h, w, 3) places in the camera's axes [m], for one pixel out of ``every`` each way."""
         (width, height), depth = self.size, depth[::every, ::every]
         x = (np.arange(0, width, every, dtype=np.float32) - (width - 1) / 2) / np.float32(self.focal_px)
         y = (np.arange(0, height, every, dtype=np.float32) - (height - 1) / 2) / np.float32(self.focal_px)
@@ -123,8 +122,7 @@ class Lamp:
 
 
 def metres_of_lamp(buffer: F32) -> F32:
-    """MuJoCo's depth buffer, 1 at the near plane and 0 at the far one -> along the lamp's third axis, from the middle
-    of what it shines on [m]."""
+    """MuJoCo's depth buffer -> metres along the lamp's third axis, from the middle of what it shines on."""
     return (NEAR_M + (1 - buffer) * (2 * LAMP_DISTANCE_M - NEAR_M) - LAMP_DISTANCE_M).astype(np.float32)
 
 
@@ -168,8 +166,7 @@ def shade(
 
 
 def _slope(seen: F32, axis: int) -> F32:
-    """Difference to the neighbour, along an axis of the picture, that is nearer in depth: the other one may belong to
-    another surface."""
+    """Difference to the neighbour along an axis that is nearer in depth: the other may belong to another surface."""
     steps = np.diff(seen, axis=axis)
     first, last = (np.take(steps, [k], axis=axis) for k in (0, -1))
     before, after = np.concatenate([first, steps], axis), np.concatenate([steps, last], axis)

@@ -57,12 +57,7 @@ class SkinGrid:
         self._pairs, self._shares = np.concatenate(pairs), np.concatenate(shares)
 
     def draw(self, picture: npt.NDArray[np.uint8], depth: npt.NDArray[np.float32], vertices: F64, eye: Eye) -> None:
-        """Darken the lines in a picture, in place.
-
-        Args:
-            depth: (H, W) of what was drawn [m].
-            vertices: (V, 3) of the skin in the world.
-        """
+        """Darken the lines in a picture, in place. ``depth``: (H, W) [m]; ``vertices``: (V, 3) of the skin."""
         ends = vertices[self._pairs]
         points = ends[..., 0, :] + self._shares[..., None] * (ends[..., 1, :] - ends[..., 0, :])
         pixels, distance = eye.pixels(points.reshape(-1, 3))
@@ -84,8 +79,7 @@ class SkinGrid:
 
 
 def _crossings(value: F64, faces: npt.NDArray[np.int32]) -> tuple[npt.NDArray[np.int64], F64]:
-    """Return where whole numbers of a value at the vertices cross triangles: (L, 2, 2) vertices of the two edges, and
-    (L, 2) where on them."""
+    """Where whole numbers of a value cross triangles: (L, 2, 2) vertices of the two edges, (L, 2) where on them."""
     low, high = np.ceil(value[faces].min(1)), np.floor(value[faces].max(1))
     pairs, shares = [], []
     for level in range(int(low.min()), int(high.max()) + 1):
@@ -163,13 +157,13 @@ class FilmSkin:
         tip = scene.robot.tip
         self._tip, self._half = model.geom(tip.geom).id, np.array(tip.half_m) + GAP_M
 
-    def shape(self, data: mujoco.MjData, made: mujoco.MjvScene) -> tuple[F64, F64]:
-        """Dent and shade the skin of a prepared scene, in place; returns vertices and normals (V, 3) in the world."""
+    def shape(self, data: mujoco.MjData, made: mujoco.MjvScene) -> F64:
+        """Dent and shade the skin of a prepared scene, in place; returns its vertices (V, 3) in the world."""
         drawn = np.asarray(made.skinvert).reshape(-1, 3)[: self._count]
         vertices, normals = self._dented(data, drawn.astype(np.float64))
         drawn[:] = vertices
         np.asarray(made.skinnormal).reshape(-1, 3)[: self._count] = normals
-        return vertices, normals
+        return vertices
 
     def placed(self, data: mujoco.MjData) -> tuple[F64, F64]:
         """Return vertices and normals (V, 3) in the world, without a prepared scene."""
@@ -181,7 +175,11 @@ class FilmSkin:
             if np.abs(moved).max() > MOVED_M:
                 vertices += follow @ moved
         self._keep_out(data, vertices)
-        return vertices, self._normals(vertices)
+        # Area-weighted normals, one for each place of the body, so that no seam shows.
+        a, b, c = (vertices[self.faces[:, k]] for k in range(3))
+        normals = self._corners @ np.cross(b - a, c - a)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return vertices, normals[self._place]
 
     def _keep_out(self, data: mujoco.MjData, vertices: F64) -> None:
         middle, turn = data.geom_xpos[self._tip], data.geom_xmat[self._tip].reshape(3, 3)
@@ -191,13 +189,6 @@ class FilmSkin:
         inside = (size < 1) & (size > 0.3)
         out = local[inside] / size[inside, None] * self._half
         vertices[near[inside]] = middle + out @ turn.T
-
-    def _normals(self, vertices: F64) -> F64:
-        """Area-weighted, one for each place of the body, so that no seam shows."""
-        a, b, c = (vertices[self.faces[:, k]] for k in range(3))
-        total = self._corners @ np.cross(b - a, c - a)
-        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-        return total[self._place]
 
 
 def _following(skin: F64, shell: F64) -> csr_array:
@@ -253,13 +244,7 @@ class Stage:
     """One OpenGL context for pictures of one size at most. Use it as a context manager."""
 
     def __init__(self, model: mujoco.MjModel, skin: FilmSkin, *, width: int, height: int) -> None:
-        """
-        Args:
-            model: a film's (``film.skin.film_scene``).
-            skin: of the same model.
-
-        Raises DependencyError where nothing can be rendered.
-        """
+        """Take the model and skin of a film (``film_scene``). Raises DependencyError where nothing can be rendered."""
         self._model = model
         self._skin = skin
         quality, far = model.vis.quality, model.vis.global_
@@ -302,11 +287,14 @@ class Stage:
         mujoco.mjv_updateScene(
             self._model, data, self._option, mujoco.MjvPerturb(), camera, mujoco.mjtCatBit.mjCAT_ALL.value, made
         )
-        vertices, _ = self._skin.shape(data, made)
+        vertices = self._skin.shape(data, made)
         key, fill = self._light(view)
         out, depth = self._render(size)
         eye = eye_of(made, size)
-        metres = self._metres(depth)
+        planes, extent = self._model.vis.map, self._model.stat.extent
+        near, far = planes.znear * extent, planes.zfar * extent
+        # MuJoCo stores reversed depth: 1 at the near plane, 0 at the far plane.
+        metres = (near * far / (depth * np.float32(far - near) + near)).astype(np.float32)
         if view.radius_m > 0:
             lamp = Lamp.of(view.look_at, key, view.radius_m)
             lamp.aim(made.camera)
@@ -337,12 +325,6 @@ class Stage:
         """Take over the skin's texture from the model, after a change of it."""
         self._context.make_current()
         mujoco.mjr_uploadTexture(self._model, self._mjr, self._model.texture("human_skin").id)
-
-    def _metres(self, buffer: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        extent, planes = self._model.stat.extent, self._model.vis.map
-        near, far = planes.znear * extent, planes.zfar * extent
-        # MuJoCo stores reversed depth: 1 at the near plane, 0 at the far plane.
-        return (near * far / (buffer * np.float32(far - near) + near)).astype(np.float32)
 
     def _light(self, view: View) -> tuple[F64, F64]:
         """Set the lights; returns the directions (3,) of the lamp that casts shadows and of the other one."""

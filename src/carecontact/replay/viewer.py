@@ -70,10 +70,7 @@ def positions(replay: Replay, fps: float) -> npt.NDArray[np.float64]:
 
 
 def show(replay: Replay, *, fps: float) -> None:
-    """Play the trial in a window until it is closed. The viewer does not draw the dents of the skin; videos do.
-
-    Raises DependencyError where no window can be opened.
-    """
+    """Play the trial in a window, without dents of the skin. Raises DependencyError where no window can open."""
     need_display()
     viewer: Any = import_module("mujoco.viewer")
     rows, data = positions(replay, fps), mujoco.MjData(replay.model)
@@ -97,23 +94,15 @@ SETTINGS = "XDG_CONFIG_HOME"
 
 
 def command(path: Path) -> list[str]:
-    """Return how the viewer is started: its server listens on the loopback address, at a free port.
-
-    Raises DependencyError where the viewer is not installed.
-    """
+    """Return how to start the viewer: its server listens on the loopback address, at a free port."""
     return [_program(), "--bind", LOOPBACK, "--port", "auto", str(path)]
 
 
 @contextmanager
 def without_usage_data() -> Iterator[Mapping[str, str]]:
-    """Yields the environment for a viewer that collects no usage data.
-
-    Rerun has no variable for that: `rerun analytics disable` is its documented way, and writes a file of settings. It
-    is called for a folder of settings that lasts as long as the block, so that the user's own stay as they are. Rerun
-    reads the folder's variable on Linux alone; elsewhere the settings are the user's (docs/python.md).
-
-    Raises DependencyError where the viewer is not installed, or does not do so.
-    """
+    """Yields the environment for a viewer that collects no usage data. `rerun analytics disable`, the documented way,
+    writes settings, so it is called for a folder of settings that lasts as long as the block. Rerun reads that variable
+    on Linux alone."""
     with tempfile.TemporaryDirectory(prefix="carecontact-rerun-") as folder:
         environment = os.environ | {SETTINGS: folder}
         if sys.platform == "linux":

@@ -90,23 +90,8 @@ MOMENTS = 6
 """Number of recorded states with contact that are looked at, at most."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Spot:
-    """A recorded state with contact."""
-
-    state: F64
-    """integration state"""
-    centre: F64
-    """(3,) force-weighted middle of the contact [m]"""
-
-
 def clear_view(recording: Recording, model: mujoco.MjModel, skin: FilmSkin) -> View:
-    """Return the view of the named region that shows its contacts best.
-
-    Args:
-        model: a film's (``film.skin.film_scene``); its states fit those of the recording.
-        skin: of the same model.
-    """
+    """Return the view of the named region that shows its contacts best, in a film's model (``film_scene``) and skin."""
     spec = recording.header.spec
     region = spec.protocol.task(spec.task_id).region
     column = recording.header.regions.index(region)
@@ -127,7 +112,7 @@ def clear_view(recording: Recording, model: mujoco.MjModel, skin: FilmSkin) -> V
     spots = _spots(recording, REGIONS[region].segment)
     if not spots:
         return first
-    merit = np.mean([_merits(model, skin, spot, views) for spot in spots], axis=0)
+    merit = np.mean([_merits(model, skin, state, centre, views) for state, centre in spots], axis=0)
     return views[int(np.argmax(merit >= CLEAR_SHARE * merit.max()))]
 
 
@@ -141,8 +126,9 @@ def _touched(recording: Recording, segment: str) -> F64 | None:
     return (places.min(0) + places.max(0)) / 2
 
 
-def _spots(recording: Recording, segment: str) -> list[Spot]:
-    """Return the stored states in which a segment is touched, and the one nearest to its peak force."""
+def _spots(recording: Recording, segment: str) -> list[tuple[F64, F64]]:
+    """Return the stored states in which a segment is touched and the one nearest to its peak force, each with the
+    force-weighted middle (3,) of the contact [m]."""
     column = recording.header.segments.index(segment)
     force = recording["scorer/normal_force"][:, column]
     if not force.any():
@@ -156,30 +142,25 @@ def _spots(recording: Recording, segment: str) -> list[Spot]:
     at = {int(row): int(steps[row]) for row in rows}
     at[int(np.abs(steps - peak).argmin())] = peak
     places = recording["scorer/centroid_in_world"][:, column].astype(np.float64)
-    return [Spot(state=recording["state/integration"][row], centre=places[step]) for row, step in at.items()]
+    return [(recording["state/integration"][row], places[step]) for row, step in at.items()]
 
 
-def _merits(model: mujoco.MjModel, skin: FilmSkin, spot: Spot, views: list[View]) -> F64:
-    """(views,) merit of each view of a contact, from 0 to 1: the part of the skin round it that is seen, times the sine
-    of the angle between the view and the skin's normal, because a dent shows in the outline."""
+def _merits(model: mujoco.MjModel, skin: FilmSkin, state: F64, centre: F64, views: list[View]) -> F64:
+    """(views,) part of the skin round a contact that each sees, times the sine of the angle to its normal: a dent shows
+    in the outline."""
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, spot.state, STATE)
+    mujoco.mj_setState(model, data, state, STATE)
     mujoco.mj_kinematics(model, data)
     vertices, normals = skin.placed(data)
-    apart = np.linalg.norm(vertices - spot.centre, axis=1)
-    round_it = (apart > RING_M[0]) & (apart < RING_M[1])
-    vertices, normals = vertices[round_it][::4], normals[round_it][::4]
+    apart = np.linalg.norm(vertices - centre, axis=1)
+    near = (apart > RING_M[0]) & (apart < RING_M[1])
+    vertices, normals = vertices[near][::4], normals[near][::4]
     if not len(vertices):
         return np.zeros(len(views))
     outward = normals.mean(0) / np.linalg.norm(normals.mean(0))
-    eyes = [eye_place(view) for view in views]
-    seen = [_share_seen(model, data, vertices, normals, eye) for eye in eyes]
-    return np.array(seen) * [_sine(eye - spot.centre, outward) for eye in eyes]
-
-
-def _sine(way: F64, outward: F64) -> float:
-    """Sine of the angle between a direction and a unit vector."""
-    return float(np.linalg.norm(np.cross(way, outward)) / np.linalg.norm(way))
+    eyes = np.array([eye_place(view) for view in views])
+    sine = np.linalg.norm(np.cross(eyes - centre, outward), axis=1) / np.linalg.norm(eyes - centre, axis=1)
+    return sine * [_share_seen(model, data, vertices, normals, eye) for eye in eyes]
 
 
 def _share_seen(model: mujoco.MjModel, data: mujoco.MjData, vertices: F64, normals: F64, eye: F64) -> float:

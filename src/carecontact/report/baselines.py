@@ -9,7 +9,7 @@ from pathlib import Path
 from carecontact.errors import CarecontactError, ConfigError
 from carecontact.policies.registry import POLICIES, Role, role_of
 from carecontact.report.comparison import check_comparable, check_complete, machines_text, trials_by_key
-from carecontact.report.paired import RATES, Outcome, Over, difference_of, over_of, rate_of
+from carecontact.report.paired import RATES, Over, difference_of, over_of, rate_of
 from carecontact.runs.pooling import RunScores, judged, rejected_text, share, task_of
 from carecontact.runs.scoring import read_scores
 from carecontact.scoring.result import TrialScore
@@ -37,21 +37,6 @@ def role_in(scores: Sequence[TrialScore]) -> Role:
     return role_of(scores[0].policy) if scores else "method"
 
 
-def blind_floor(kept: Iterable[Sequence[TrialScore]], like: TrialScore) -> dict[str, FloorRate]:
-    """Return ALL and each task -> its best blind rate; empty where no blind baseline ran this protocol.
-
-    Each place takes its own best, so tasks may name different policies. With several levels of one protocol, a level
-    has its own floor.
-
-    Args:
-        kept: scores of runs, for example those stored beside published results; runs of methods, of probes, of
-            privileged policies, and of other rules than those of ``like`` are passed over.
-        like: any trial under the rules whose floor is wanted.
-    """
-    same = [[score for score in judged(scores) if _same_rules(score, like)] for scores in kept]
-    return floor_of(scores for scores in same if scores and role_in(scores) == "blind")
-
-
 def floor_of(baselines: Iterable[Sequence[TrialScore]]) -> dict[str, FloorRate]:
     """ALL and each task -> the best rate there; the first of equal ones.
 
@@ -68,10 +53,6 @@ def floor_of(baselines: Iterable[Sequence[TrialScore]]) -> dict[str, FloorRate]:
     return best
 
 
-def _same_rules(score: TrialScore, like: TrialScore) -> bool:
-    return (score.protocol_sha256, score.overrides) == (like.protocol_sha256, like.overrides)
-
-
 # What baselines pass beside a method: the floor under its rates.
 #
 # A blind baseline is a policy that cannot do a task, because it does not look, touch or decide. Each of its successes
@@ -81,11 +62,8 @@ def _same_rules(score: TrialScore, like: TrialScore) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Passed:
-    """What one policy passed.
-
-    Rates by id: ``success``, ``region_correct``, ``safety_gated``. Those of a baseline are over the trials (task and
-    seed) that the method has as well, or, where there is none, over all of its trials of the method's tasks.
-    """
+    """What one policy passed. Rates of a baseline are over the trials (task and seed) that the method has as well, or,
+    where there is none, over all of its trials of the method's tasks."""
 
     policy: str
     n: int
@@ -104,13 +82,11 @@ class Passed:
     n_pairs: int | None = None
     """Trials of the same task and seed in both; None for the method itself."""
     method_passed: int | None = None
-    """How many of these trials the method passed safely (safety-gated); None for the method itself."""
+    """How many of these trials are safety-gated for the method."""
     whole: Proportion | None = None
-    """Safety-gated rate of a baseline over all of its trials of the method's tasks, where ``rates`` leave out some of
-    them; None otherwise."""
+    """Safety-gated rate over all trials of the method's tasks, where ``rates`` leave out some of them."""
     above_seeds: int | None = None
-    """Different seeds that the differences rest on: those of the pairs or, without any, of the run that has fewer; None
-    for the method itself."""
+    """Seeds that the differences rest on: those of the pairs or, without any, of the run that has fewer."""
     above: dict[str, RateDifference] | None = None
     """Method minus baseline, as fractions: by pairs, or between independent trials where there is no pair."""
 
@@ -118,10 +94,6 @@ class Passed:
     def trials(self) -> str:
         """``18``, or ``15 of 18`` where planned trials have no verdict."""
         return f"{self.n} of {self.n + self.unknown}" if self.unknown else str(self.n)
-
-    def counts_in(self, place: str, rate: str = "safety_gated") -> tuple[int, int]:
-        """Return count and number of trials in ALL or in one task."""
-        return (self.rates[rate].k, self.n) if place == ALL else self.per_task.get(place, {}).get(rate, (0, 0))
 
     def count(self, rate: str) -> str:
         """Return a rate as ``9 of 18``, or ``9 to 12 of 18`` where three planned trials have no verdict."""
@@ -158,7 +130,8 @@ class Baselines:
         """Return the best safety-gated rate of a privileged policy in ALL or in one task; None without any."""
         best: FloorRate | None = None
         for row in self.baselines:
-            k, n = row.counts_in(place)
+            gated = row.rates["safety_gated"]
+            k, n = (gated.k, row.n) if place == ALL else row.per_task.get(place, {}).get("safety_gated", (0, 0))
             if row.role == "privileged" and n and (best is None or k / n > best.rate.k / best.rate.n):
                 best = FloorRate(policy=row.policy, blind=False, rate=wilson_interval(k, n))
         return best
@@ -177,13 +150,9 @@ def beside_baselines(
     kept: Sequence[RunScores] = (),
     allow_incomplete: bool = False,
 ) -> Baselines:
-    """Set baselines beside a method, over the trials that both have (``Passed``).
+    """Set baselines beside a method, over the trials that both have; ``kept``: scores from the package.
 
-    A method may be named as a baseline; it does not become blind by that. ``kept`` are scores that are kept with the
-    package.
-
-    Intervals of rates and differences are over what the protocol takes as independent (``over_of``). Raises
-    ConfigError as ``check_baselines`` does.
+    A method that is named as a baseline does not become blind by that. Raises ConfigError as ``check_baselines``.
     """
     check_baselines(method, [*baselines, *kept], allow_incomplete=allow_incomplete)
     found = [_passed(baseline, method.scores) for baseline in (*baselines, *kept)]
@@ -201,15 +170,14 @@ def beside_baselines(
         protocol=method.scores[0].protocol_title,
         rejected_tissue=rejected_text(method.scores),
         baselines=tuple(found),
-        floor=floor_of(_comparable(run.scores, method.scores) for run in floor),
+        floor=floor_of(_shared(_of_tasks(run.scores, method.scores), method.scores) for run in floor),
         kept=tuple(row.policy for row in found[len(baselines) :]),
     )
 
 
 def check_baselines(method: RunScores, baselines: Sequence[RunScores], *, allow_incomplete: bool = False) -> None:
-    """Raise ConfigError, which names what differs, for a baseline that cannot stand beside a method: one of another
-    protocol, with other overrides or definitions or of another world; the method itself; one that is named twice; one
-    without a task in common; or, unless these are allowed, one of which planned trials have no verdict."""
+    """Raises ConfigError for a baseline that is not comparable, named twice, or the method itself, that has no task in
+    common, or, unless these are allowed, of which planned trials have no verdict."""
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     for baseline in baselines:
         titled = f"the baseline ({baseline.scores[0].policy_title})" if baseline.scores else "the baseline"
@@ -227,8 +195,7 @@ def check_baselines(method: RunScores, baselines: Sequence[RunScores], *, allow_
 
 
 def _passed(run: RunScores, method: Sequence[TrialScore] | None) -> Passed:
-    """``method``: to which a baseline is compared; None for the method itself, whose tasks without any verdict count as
-    unknown, too."""
+    """``method``: None for the method itself, whose tasks without any verdict count as unknown, too."""
     scores = run.scores
     every = _of_tasks(scores, scores if method is None else method)
     counted = every if method is None else _shared(every, method)
@@ -239,16 +206,15 @@ def _passed(run: RunScores, method: Sequence[TrialScore] | None) -> Passed:
         unknown=sum(method is None or task_of(trial) in tasks for trial in run.unjudged),
         seeds=len({s.seed for s in counted}),
         rates={rate.id: rate_of(counted, rate.field) for rate in RATES},
-        per_task={task: _of_task([s for s in counted if s.task_id == task]) for task in tasks},
+        per_task={
+            task: {rate.id: (sum(bool(rate.of(s)) for s in of_task), len(of_task)) for rate in RATES}
+            for task in tasks
+            for of_task in [[s for s in counted if s.task_id == task]]
+        },
         role=role_in(scores),
         whole=rate_of(every, "safety_gated") if len(every) > len(counted) else None,
     )
     return found if method is None else _against(found, counted, judged(method))
-
-
-def _comparable(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Sequence[TrialScore]:
-    """Return the trials that the rates of a baseline are over."""
-    return _shared(_of_tasks(scores, method), method)
 
 
 def _of_tasks(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> list[TrialScore]:
@@ -271,30 +237,17 @@ def _shared(scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Seque
 def _against(found: Passed, scores: Sequence[TrialScore], method: Sequence[TrialScore]) -> Passed:
     of_method, of_baseline = trials_by_key(method), trials_by_key(scores)
     pairs = [(of_method[key], of_baseline[key]) for key in sorted(of_method.keys() & of_baseline.keys())]
-    seeds = [{s.seed for s in trials} for trials in (method, scores)]
-    paired = {s.seed for s, _ in pairs}
-    return replace(
-        found,
-        n_pairs=len(pairs),
-        method_passed=sum(of_method.safety_gated for of_method, _ in pairs),
-        above_seeds=len(paired) if pairs else min(map(len, seeds)),
-        above={rate.id: _difference(rate, pairs, method, scores) for rate in RATES},
-    )
-
-
-def _of_task(scores: Sequence[TrialScore]) -> dict[str, tuple[int, int]]:
-    return {rate.id: (sum(bool(rate.of(s)) for s in scores), len(scores)) for rate in RATES}
-
-
-def _difference(
-    rate: Outcome,
-    pairs: Sequence[tuple[TrialScore, TrialScore]],
-    method: Sequence[TrialScore],
-    baseline: Sequence[TrialScore],
-) -> RateDifference:
-    if not pairs:
-        return difference_of_rates(rate_of(method, rate.field), rate_of(baseline, rate.field))
-    return difference_of([m for m, _ in pairs], [b for _, b in pairs], rate.field)[0]
+    if pairs:
+        first, second = ([pair[side] for pair in pairs] for side in (0, 1))
+        above = {rate.id: difference_of(first, second, rate.field)[0] for rate in RATES}
+        seeds = len({s.seed for s in first})
+    else:
+        above = {
+            rate.id: difference_of_rates(rate_of(method, rate.field), rate_of(scores, rate.field)) for rate in RATES
+        }
+        seeds = min(len({s.seed for s in trials}) for trials in (method, scores))
+    passed = sum(trial.safety_gated for trial, _ in pairs)
+    return replace(found, n_pairs=len(pairs), method_passed=passed, above_seeds=seeds, above=above)
 
 
 PACKAGE = Path(__file__).parents[1]
@@ -306,14 +259,8 @@ in the clone that it is installed from."""
 def beside_shipped_scores(
     run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
 ) -> tuple[Baselines | None, str]:
-    """Set the named baselines and the kept scores beside a run; of one trial of one policy, the named one.
-
-    Returns:
-        The policies beside the run, None without any; and why no kept scores are among them, empty where some are.
-
-    Raises:
-        ConfigError: a named baseline cannot be compared (``check_baselines``).
-    """
+    """Return the named baselines and the kept scores beside a run (of one trial of one policy, the named one), None
+    without any, and why no kept scores are among them. Raises ConfigError as ``check_baselines``."""
     check_baselines(run, named)
     whole = [completed_from_shipped_scores(run, one, folders=folders) for one in named]
     kept, why = shipped_scores_for(run, whole, folders=folders)
@@ -325,8 +272,7 @@ def beside_shipped_scores(
 
 
 def completed_from_shipped_scores(run: RunScores, named: RunScores, *, folders: Sequence[Path] = FOLDERS) -> RunScores:
-    """Return a named baseline with the kept trials of the same policy that it has not; unchanged where none are kept
-    that can stand beside it."""
+    """Return a named baseline with the kept trials of the same policy that it has not."""
     for file in _files(run.scores[0].protocol_id, folders) if run.scores else ():
         try:
             kept = read_scores(file).scores
@@ -347,8 +293,7 @@ def completed_from_shipped_scores(run: RunScores, named: RunScores, *, folders: 
 def shipped_scores_for(
     run: RunScores, named: Sequence[RunScores], *, folders: Sequence[Path] = FOLDERS
 ) -> tuple[list[RunScores], str]:
-    """Return the kept scores that can stand beside a run and the named baselines, and why there are none; the reason is
-    empty for a run without trials."""
+    """Return the kept scores that can stand beside a run and the named baselines, and why there are none."""
     if not run.scores:
         return [], ""
     taken = {run.scores[0].policy_title, *(other.scores[0].policy_title for other in named)}
@@ -368,8 +313,7 @@ def shipped_scores_for(
 
 
 def _files(protocol_id: str, folders: Sequence[Path]) -> list[Path]:
-    """Return one file for each registered policy under the protocol's own settings: other settings have a longer name.
-    The folder of a level is PROTOCOL-LEVEL."""
+    """Return one file for each registered policy; the folder of a level is PROTOCOL-LEVEL."""
     for folder in folders:
         found = [
             path

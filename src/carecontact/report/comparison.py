@@ -45,6 +45,11 @@ def plain(value: Any) -> Any:
     return value
 
 
+def document(schema: str, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of a file of results."""
+    return plain({"schema": schema, "carecontact": __version__, "alpha": ALPHA, "power": POWER, **content})
+
+
 def check_different(places: Sequence[Path]) -> None:
     """Raises ConfigError for a run that is named twice, also once by its folder and once by the results in it."""
     folders = [path.resolve().parent if path.name == RESULTS_NAME else path.resolve() for path in places]
@@ -54,12 +59,8 @@ def check_different(places: Sequence[Path]) -> None:
 
 
 def check_complete(runs: Mapping[str, RunScores], *, otherwise: str = "") -> None:
-    """Raises ConfigError for a run with planned trials that have no verdict: its rates would be over fewer.
-
-    Args:
-        runs: name for messages -> run.
-        otherwise: what else the caller offers than to complete the run.
-    """
+    """Raises ConfigError for a run with planned trials that have no verdict; ``otherwise``: what else the caller
+    offers than to complete the run."""
     for name, run in runs.items():
         if run.incomplete:
             first, why = next(iter(run.unjudged.items()))
@@ -70,9 +71,7 @@ def check_complete(runs: Mapping[str, RunScores], *, otherwise: str = "") -> Non
 
 
 def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
-    """Raises ConfigError, naming the runs and what differs, unless all ran one protocol, same overrides, in one world,
-    were scored by the same definitions, have a trial that says something about the policy, and were recorded by the
-    workers of runs.
+    """Raises ConfigError unless all ran one protocol in one world, were scored alike, and have a judged trial.
 
     Args:
         runs: name for messages, such as "run A" -> scores.
@@ -117,11 +116,7 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
 
 
 def machines_text(runs: Mapping[str, Sequence[TrialScore]]) -> str:
-    """Return a sentence about what computed and drew comparable runs, where it differs; else empty.
-
-    Args:
-        runs: name for messages -> scores.
-    """
+    """Return a sentence about what computed and drew comparable runs, where it differs; else empty."""
     parts: list[str] = []
     for part, title in PROVENANCE.items():
         names: dict[str, list[str]] = {}
@@ -145,8 +140,7 @@ FEW_SEEDS = 5
 
 
 def conclude(lines: Sequence[Line]) -> list[Line]:
-    """Return the lines with p-values adjusted over the family, what could have been detected, and a verdict for
-    each."""
+    """Return the lines with adjusted p-values, what could have been detected, and a verdict for each."""
     adjusted = holm([line.test.pvalue for line in lines])
     worst = holm([line.worst_rank.pvalue if isinstance(line, ScoreLine) else None for line in lines])
     # What Holm requires of the smallest p-value: the only level that a line is sure to be tested at.
@@ -212,11 +206,6 @@ def _verdict(line: Line, p_holm: float | None, detectable: DetectableDifference 
     return Verdict(word="underpowered", text=f"underpowered: {why}")
 
 
-def _better(line: Line) -> int:
-    """1 where the paired test favours A, -1 where it favours B, else 0."""
-    return line.favours if line.outcome.better == "higher" else -line.favours
-
-
 def _notes(line: Line) -> list[str]:
     """Return notes where another way of looking at the data says something else."""
     assert line.verdict is not None
@@ -233,7 +222,8 @@ def _notes(line: Line) -> list[str]:
         )
     if isinstance(line, ScoreLine) and line.worst_rank_p_holm is not None and line.worst_rank_p_holm <= ALPHA:
         side = {"first": 1, "second": -1, "neither": 0}[line.worst_rank.better]
-        if side and not (decided and side == _better(line)):
+        better = line.favours if line.outcome.better == "higher" else -line.favours
+        if side and not (decided and side == better):
             notes.append(f"with no score counted as the worst score {'A' if side > 0 else 'B'} is better")
     return notes
 
@@ -297,14 +287,7 @@ class Comparison:
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``comparison.json``. Rates and their differences are fractions; infinity and NaN are
         null."""
-        content = {
-            "schema": COMPARISON_SCHEMA,
-            "carecontact": __version__,
-            "alpha": ALPHA,
-            "power": POWER,
-            **asdict(self),
-        }
-        return {key: plain(value) for key, value in content.items()}
+        return document(COMPARISON_SCHEMA, asdict(self))
 
 
 def compare_runs(a: RunScores, b: RunScores, *, per_task: bool = False, allow_incomplete: bool = False) -> Comparison:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,19 +130,6 @@ class Cause:
     """Trial and evidence of the first EXAMPLES, from different tasks where there are."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AnatomyRow:
-    """One region; ``process_failure + target + off_target + none`` is ``n``."""
-
-    region: str
-    n: int
-    target: int
-    off_target: int
-    none: int
-    process_failure: int
-    success: int
-
-
 def only_crashes(scores: Sequence[TrialScore]) -> bool:
     """Whether the policy crashed in every trial before any contact, so that nothing is known of a contact."""
     return bool(scores) and all(s.crashed_untouched for s in scores)
@@ -151,16 +138,19 @@ def only_crashes(scores: Sequence[TrialScore]) -> bool:
 def failure_modes(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
     """Return one row per failure mode, most frequent first, with what the failures were attributed to."""
     failed = [s for s in judged(scores) if s.failure_mode is not None]
-    counts = Counter(str(s.failure_mode) for s in failed)
     out: list[dict[str, Any]] = []
-    for mode, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-        causes = Counter(s.attribution or "unattributed" for s in failed if s.failure_mode == mode)
-        text = ", ".join(f"{cause} {k}" for cause, k in sorted(causes.items(), key=lambda item: (-item[1], item[0])))
+    for mode, count in _most_first(str(s.failure_mode) for s in failed):
+        blamed = _most_first(s.attribution or "unattributed" for s in failed if s.failure_mode == mode)
+        text = ", ".join(f"{cause} {k}" for cause, k in blamed)
         out.append(
             {"mode": mode.replace("_", " "), "meaning": MODE_MEANING[mode], "count": count, "of": len(failed),
              "attribution": text}
         )  # fmt: skip
     return out
+
+
+def _most_first(names: Iterable[str]) -> list[tuple[str, int]]:
+    return sorted(Counter(names).items(), key=lambda item: (-item[1], item[0]))
 
 
 def causes(scores: Sequence[TrialScore]) -> list[Cause]:
@@ -181,27 +171,21 @@ def _examples(scores: Sequence[TrialScore]) -> tuple[tuple[str, str], ...]:
     return tuple((s.trial_id, evidence_text(s)) for s in with_evidence[:EXAMPLES])
 
 
-def anatomy(scores: Sequence[TrialScore]) -> list[AnatomyRow]:
-    """Return one row per region of the tasks, then one over all if there are several."""
+ANATOMY = ("target", "off_target", "none", "process_failure")
+
+
+def anatomy(scores: Sequence[TrialScore]) -> list[dict[str, Any]]:
+    """Return counts per region of the tasks, then over all if there are several; those of ANATOMY add up to ``n``."""
     counted = judged(scores)
     regions = list(dict.fromkeys(s.region for s in sorted(counted, key=lambda s: s.task_id)))
     groups = [(region.replace("_", " "), [s for s in counted if s.region == region]) for region in regions]
     if len(groups) > 1:
         groups.append(("all", counted))
-    return [_anatomy_row(name, group) for name, group in groups]
-
-
-def _anatomy_row(name: str, group: Sequence[TrialScore]) -> AnatomyRow:
-    count = Counter(s.anatomy for s in group)
-    return AnatomyRow(
-        region=name,
-        n=len(group),
-        target=count["target"],
-        off_target=count["off_target"],
-        none=count["none"],
-        process_failure=count["process_failure"],
-        success=sum(s.c3_success for s in group),
-    )
+    return [
+        {"region": name, "n": len(group), "success": sum(s.c3_success for s in group)}
+        | {kind: sum(s.anatomy == kind for s in group) for kind in ANATOMY}
+        for name, group in groups
+    ]
 
 
 def result_word(score: TrialScore) -> tuple[str, str]:

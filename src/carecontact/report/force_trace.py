@@ -53,8 +53,7 @@ class ForceTrace:
     windows_s: list[tuple[float, float]]
     """Contact window of the reported segment."""
     gate_n: float
-    """Safety gate of the named region's segment [N]; ``pain_n`` is its pain limit."""
-    pain_n: float
+    """Safety gate of the named region's segment [N]."""
     limits: tuple[Limit, ...]
     """Limits of every segment that is drawn; those of the named region's segment come first, if it was touched."""
     peak_s: float | None
@@ -63,13 +62,10 @@ class ForceTrace:
 
     @property
     def is_touched(self) -> bool:
-        """Whether the robot pressed any segment at any time, however lightly."""
         return bool(self.target_n.any() or self.other_n.any())
 
 
 def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
-    """Return the trace of a trial against the limits of the segments that it shows, with the scorer's own contact
-    window."""
     contact = find_contact(recording)
     protocol, segment = contact.protocol, contact.segments[contact.target]
     peak_s = None
@@ -85,7 +81,6 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
             for start, stop in runs(contact.window)
         ],
         gate_n=protocol.limits.gamma * protocol.f_pain(segment),
-        pain_n=protocol.f_pain(segment),
         limits=_limits(contact),
         peak_s=peak_s,
         peak_n=score.c1_peak_force_n,
@@ -108,18 +103,12 @@ def _limits(contact: Contact) -> tuple[Limit, ...]:
 
 
 def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
-    """(T,), (T,) -> at most 2 * buckets points that keep each bucket's minimum and maximum, in order.
-
-    No peak is lost, however short, which plain striding cannot promise.
-    """
+    """(T,), (T,) -> at most 2 * buckets points, among them each bucket's minimum and maximum: no peak is lost."""
     if x.size <= 2 * buckets:
         return x, y
-    keep: set[int] = set()
     edges = np.linspace(0, x.size, buckets + 1).astype(int)
-    for low, high in itertools.pairwise(edges):
-        keep.add(low + int(y[low:high].argmin()))
-        keep.add(low + int(y[low:high].argmax()))
-    index = np.array(sorted(keep))
+    ends = [(low + y[low:high].argmin(), low + y[low:high].argmax()) for low, high in itertools.pairwise(edges)]
+    index = np.unique(ends)
     return x[index], y[index]
 
 
@@ -131,9 +120,7 @@ def trace_svg(trace: ForceTrace, *, title: str) -> str:
     drawing = Drawing(width=360, height=168, style="trace", title=title)
     # The right margin holds the names of the limits, so that they never cover the trace.
     axes = Axes(drawing=drawing, left=40, right=92, top=10, bottom=20, x=(0.0, x_top), y=(0.0, y_top))
-    for start, end in trace.windows_s:
-        x = axes.px(start)
-        drawing.rect("window", x, axes.top, max(axes.px(end) - x, 0.8), axes.height)
+    axes.windows(trace.windows_s)
     axes.y_ticks(with_unit(nice_ticks(y_top, count=4), "N"))
     axes.x_labels(with_unit(nice_ticks(x_top, count=5), "s"))
     axes.across("axis", 0.0)
@@ -143,12 +130,7 @@ def trace_svg(trace: ForceTrace, *, title: str) -> str:
             kept = decimate(trace.time_s, values, buckets=int(axes.width))
             drawing.polyline(style, [axes.point(t, n) for t, n in zip(*(k.tolist() for k in kept), strict=True)])
     if trace.peak_s is not None and trace.peak_n is not None:
-        x, y = axes.point(trace.peak_s, trace.peak_n)
-        far = x > axes.left + 0.7 * axes.width
-        drawing.circle("peak", x, y, 2.6)
-        drawing.text(
-            "label value", x + (-5 if far else 5), y - 4, f"{trace.peak_n:.1f} N", anchor="end" if far else "start"
-        )
+        axes.peak(trace.peak_s, trace.peak_n, turn=0.7)
     return drawing.svg()
 
 

@@ -33,54 +33,41 @@ def page_path(run_folder: Path, trial_id: str) -> Path:
     return run_folder / FOLDER / f"{trial_id}.html"
 
 
-def page_address(trial_id: str) -> str:
-    """Return the address of a trial's page, relative to the report."""
-    return quote(f"{FOLDER}/{trial_id}.html")
-
-
-def report_address(trial_id: str) -> str:
-    """Return the address of a trial's row in the report, relative to the page of the trial."""
-    return f"../{REPORT}#{quote(trial_id)}"
-
-
-def report_link(run_folder: Path, trial_id: str) -> str:
-    """Return the beginning of the link to the report on the page of a trial: hidden while there is no report."""
-    return (SHOWN if (run_folder / REPORT).is_file() else HIDDEN).format(report_address(trial_id))
-
-
 def link_to_page(trial_id: str, *, is_there: bool) -> str:
-    """Return the beginning of the link to the page of a trial in the report; without an address while there is no
+    """Return the beginning of the link from the report to the page of a trial; without an address while there is no
     page."""
-    return (LINKED if is_there else WAITING).format(page_address(trial_id))
-
-
-def link_page(run_folder: Path, trial_id: str) -> None:
-    """Link the page of a trial in the report, if there is one."""
-    address = page_address(trial_id)
-    _replace(run_folder / REPORT, WAITING.format(address), LINKED.format(address))
+    return (LINKED if is_there else WAITING).format(quote(f"{FOLDER}/{trial_id}.html"))
 
 
 def link_report(run_folder: Path, trial_ids: Iterable[str]) -> None:
     """Show the link to the report on those of the trials' pages that are there."""
     for trial_id in trial_ids:
-        address = report_address(trial_id)
-        _replace(page_path(run_folder, trial_id), HIDDEN.format(address), SHOWN.format(address))
+        _show(page_path(run_folder, trial_id), _report_address(trial_id))
 
 
-def neighbour_links(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
-    """Return words and beginning of the links from the page of a trial to those of the trials before and after it, in
-    the order of the recordings' names; a link is hidden while that page is not there."""
-    return [
-        (words, (SHOWN if page_path(run_folder, name).is_file() else HIDDEN).format(quote(f"{name}.html")))
-        for words, name in _neighbours(run_folder, trial_id)
-    ]
+def links_of_page(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:
+    """Return words and beginnings of the links from the page of a trial to the report, and to the pages of the trials
+    before and after it in the order of the recordings; a link is hidden while its page is not there."""
+    targets = [("report of the run", run_folder / REPORT, _report_address(trial_id))]
+    for words, name in _neighbours(run_folder, trial_id):
+        targets.append((words, page_path(run_folder, name), quote(f"{name}.html")))
+    return [(words, (SHOWN if path.is_file() else HIDDEN).format(address)) for words, path, address in targets]
 
 
-def link_neighbours(run_folder: Path, trial_id: str) -> None:
-    """Show the links to the page of a trial on the pages of the trials before and after it."""
-    address = quote(f"{trial_id}.html")
+def link_page(run_folder: Path, trial_id: str) -> None:
+    """Link the page of a trial in the report and on the pages of the trials before and after it."""
+    waiting, linked = (link_to_page(trial_id, is_there=is_there) for is_there in (False, True))
+    _replace(run_folder / REPORT, waiting, linked)
     for _, name in _neighbours(run_folder, trial_id):
-        _replace(page_path(run_folder, name), HIDDEN.format(address), SHOWN.format(address))
+        _show(page_path(run_folder, name), quote(f"{trial_id}.html"))
+
+
+def _report_address(trial_id: str) -> str:
+    return f"../{REPORT}#{quote(trial_id)}"
+
+
+def _show(page: Path, address: str) -> None:
+    _replace(page, HIDDEN.format(address), SHOWN.format(address))
 
 
 def _neighbours(run_folder: Path, trial_id: str) -> list[tuple[str, str]]:

@@ -249,11 +249,8 @@ def _merged(views: dict[str, CameraView]) -> tuple[F64, U8, int]:
 
 def _shape(view: CameraView) -> tuple[int, int] | None:
     """(H, W) of the view's images; landmarks and points alone have none."""
-    if view.rgb is not None:
-        return view.rgb.shape[0], view.rgb.shape[1]
-    if view.depth is not None:
-        return view.depth.shape[0], view.depth.shape[1]
-    return next(iter(view.masks.values())).shape if view.masks else None  # pyright: ignore[reportReturnType]
+    images = (view.rgb, view.depth, *(view.masks or {}).values())
+    return next(((image.shape[0], image.shape[1]) for image in images if image is not None), None)
 
 
 def _size_of(view: CameraView, modality: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from math import cos, radians, sin
@@ -88,13 +89,7 @@ def is_hidden(recording: Recording, moment: Moment) -> bool:
 
 
 def drawn_svg(recording: Recording, moment: Moment, *, title: str) -> str | None:
-    """Return the drawing; None where the recording has no skin round the contact.
-
-    Args:
-        title: text alternative.
-
-    Raises RecordingError for a skin of the wrong shape.
-    """
+    """None where the recording has no skin round the contact. Raises RecordingError as ``skin_of``."""
     found = _round(recording, moment)
     if found is None:
         return None
@@ -157,11 +152,7 @@ def _box(found: _Round, half_m: tuple[float, float, float], behind_m: float) -> 
 
 
 def _share_seen(in_the_way: Triangles, found: _Round, way: F64) -> float:
-    """Share of the triangles round the contact from which a ray reaches the viewer.
-
-    Args:
-        way: (R, 3) from each of them to the viewer [m].
-    """
+    """Share of the triangles round the contact from which a ray, (R, 3) ``way`` [m], reaches the viewer."""
     length = np.linalg.norm(way, axis=1)
     toward = way / length[:, None]
     faces = (toward * found.normals).sum(axis=1) > FACING
@@ -170,36 +161,39 @@ def _share_seen(in_the_way: Triangles, found: _Round, way: F64) -> float:
 
 
 def _view(found: _Round) -> F64:
-    """(3, 3) rows right, up and toward the viewer of the view that sees most of the skin round the contact, at a slant
-    to it."""
+    """(3, 3) the view that sees most of the skin round the contact, at a slant to it."""
     outward = found.normals.mean(axis=0)
     outward = outward / max(float(np.linalg.norm(outward)), 1e-9)
     skin = Triangles(_near(found))
-    level: F64 = np.cross(found.up, [1.0, 0.0, 0.0])
-    level /= np.linalg.norm(level)
-    ahead: F64 = np.cross(level, found.up)
-    best: F64 = np.eye(3)
-    most = -np.inf
-    for elevation, azimuth in product(np.radians(ELEVATIONS_DEG), np.radians(AZIMUTHS_DEG)):
-        toward: F64 = (
-            np.cos(elevation) * (np.cos(azimuth) * ahead + np.sin(azimuth) * level) + np.sin(elevation) * found.up
-        )
-        right: F64 = np.cross(found.up, toward)
-        right /= np.linalg.norm(right)
+
+    def merit(turn: F64) -> float:
+        toward = turn[2]
         # Only the person's skin can be in the way: the hand is not drawn.
         share = _share_seen(skin, found, np.tile(toward, (len(found.ring), 1)))
         # Half way between straight onto the skin and along it: the one hides the dent, the other the place.
-        merit = share * float(toward @ outward) * float(np.linalg.norm(np.cross(toward, outward)))
-        if merit > most:
-            best, most = np.stack([right, np.cross(toward, right), toward]), merit
-    return best
+        return share * float(toward @ outward) * float(np.linalg.norm(np.cross(toward, outward)))
+
+    return max(_views(found.up, AZIMUTHS_DEG, ELEVATIONS_DEG), key=merit)
+
+
+def _views(up: F64, azimuths_deg: Iterable[int], elevations_deg: Iterable[int]) -> list[F64]:
+    """(3, 3) rows right, up and toward the viewer of each view, round the vertical and above the horizon."""
+    level: F64 = np.cross(up, [1.0, 0.0, 0.0])
+    level /= np.linalg.norm(level)
+    ahead: F64 = np.cross(level, up)
+    turns: list[F64] = []
+    for elevation, azimuth in product(map(radians, elevations_deg), map(radians, azimuths_deg)):
+        toward = cos(elevation) * (cos(azimuth) * ahead + sin(azimuth) * level) + sin(elevation) * up
+        right: F64 = np.cross(up, toward)
+        right /= np.linalg.norm(right)
+        turns.append(np.stack([right, np.cross(toward, right), toward]))
+    return turns
 
 
 def _draw_tip(drawing: Drawing, recording: Recording, found: _Round, turn: F64, frame: Frame) -> None:
     """The tool's axis, and the outline of the ellipsoid at its tip where the robot is known; both half transparent."""
     back = found.tcp - TOOL_M * found.hand[:, 2]
-    (x0, y0), (x1, y1) = frame.px(np.array([found.tcp, back]) @ turn.T, 1).tolist()
-    drawing.path("tool", f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
+    drawing.line("tool", frame.px(np.array([found.tcp, back]) @ turn.T, 1))
     robot = robot_of(recording.header.embodiment)
     if robot is None:
         return
@@ -261,17 +255,9 @@ def nearest_miss(recording: Recording) -> Miss | None:
 
 
 def miss_svg(recording: Recording, miss: Miss, *, title: str) -> str | None:
-    """Return the picture; None where the recording has no skin or no cells of the region.
-
-    Args:
-        title: text alternative.
-
-    Raises RecordingError for a skin of the wrong shape.
-    """
-    stored, cells = (
-        skin_of(recording, len(recording["scorer/time_s"]) - 1),
-        recording.arrays.get("scorer/cell_in_region"),
-    )
+    """None where the recording has no skin or no cells of the region. Raises RecordingError as ``skin_of``."""
+    stored = skin_of(recording, len(recording["scorer/time_s"]) - 1)
+    cells = recording.arrays.get("scorer/cell_in_region")
     if stored is None or cells is None or len(cells) < 3:
         return None
     skin, faces = stored
@@ -286,37 +272,27 @@ def miss_svg(recording: Recording, miss: Miss, *, title: str) -> str | None:
     drawing.polygon("outline", convex_hull(frame.px(region @ turn.T, 1)))
     for part in inside(frame.px(path @ turn.T, 1), WIDTH, frame.height):
         drawing.polyline("reached", part)
-    (x0, y0), (x1, y1) = frame.px(tool @ turn.T, 1).tolist()
-    drawing.path("tool", f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
-    (x2, y2), *_ = frame.px(nearest[None] @ turn.T, 1).tolist()
-    drawing.path("gap", f"M{x0:.1f} {y0:.1f}L{x2:.1f} {y2:.1f}")
-    anchor = "end" if (x0 + x2) / 2 > WIDTH - 90 else "start"
-    aside = -8 if anchor == "end" else 8
-    drawing.text("note", (x0 + x2) / 2 + aside, (y0 + y2) / 2 - 6, f"{1000 * miss.away_m:.0f} mm", anchor=anchor)
+    drawing.line("tool", frame.px(tool @ turn.T, 1))
+    gap = frame.px(np.array([miss.tip, nearest]) @ turn.T, 1)
+    drawing.line("gap", gap)
+    x, y = gap.mean(axis=0).tolist()
+    anchor, aside = ("end", -8) if x > WIDTH - 90 else ("start", 8)
+    drawing.text("note", x + aside, y - 6, f"{1000 * miss.away_m:.0f} mm", anchor=anchor)
     return drawing.svg()
 
 
 def _view_of_miss(region: F64, recording: Recording, miss: Miss, nearest: F64) -> F64:
-    """(3, 3) rows right, up and toward the viewer of the view that shows the gap and the region's skin best."""
+    """(3, 3) the view that shows the gap and the region's skin best."""
     gap = nearest - miss.tip
     size = recording["scorer/region_size_m"][region_column(recording)]
     normals = np.c_[np.zeros(len(region)), region[:, 1:] / np.array([size[1], size[2]]) ** 2]
     outward = (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)).mean(axis=0)
-    level = np.cross(miss.up, [1.0, 0.0, 0.0])
-    level /= np.linalg.norm(level)
-    ahead = np.cross(level, miss.up)
-    best: F64 = np.eye(3)
-    most = -np.inf
-    for azimuth, elevation in product(map(radians, MISSED_AZIMUTHS_DEG), map(radians, MISSED_ELEVATIONS_DEG)):
-        flat = cos(azimuth) * ahead + sin(azimuth) * level
-        toward = cos(elevation) * flat + sin(elevation) * miss.up
-        right = np.cross(miss.up, toward)
-        right /= np.linalg.norm(right)
-        turn: F64 = np.array([right, np.cross(toward, right), toward])
-        merit = float(np.linalg.norm(turn[:2] @ gap)) / max(float(np.linalg.norm(gap)), 1e-9) + float(toward @ outward)
-        if merit > most:
-            best, most = turn, merit
-    return best
+
+    def merit(turn: F64) -> float:
+        seen = float(np.linalg.norm(turn[:2] @ gap)) / max(float(np.linalg.norm(gap)), 1e-9)
+        return seen + float(turn[2] @ outward)
+
+    return max(_views(miss.up, MISSED_AZIMUTHS_DEG, MISSED_ELEVATIONS_DEG), key=merit)
 
 
 def _frame(shown: F64) -> Frame:

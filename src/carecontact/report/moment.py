@@ -72,42 +72,29 @@ def peak_moment(recording: Recording) -> Moment | None:
     inside = points_in_region(centroid[None], pose[None])
     turn = np.stack([points_in_region(pose[:3] + axis, pose[None])[0] for axis in np.eye(3)])
     outward = surface_normal(inside, recording["scorer/region_size_m"][region_column(recording)])[0]
+    time_s, periods = float(recording["scorer/time_s"][index]), recording["scorer/period_time_s"]
+    depth_m = deepest = None
+    if column == target and periods.size:
+        depths = recording["scorer/indentation_m"][:, region_column(recording)]
+        depth_m = float(depths[min(int(np.searchsorted(periods, time_s)), len(periods) - 1)])
+        deepest = float(depths.max()), float(periods[depths.argmax()])
     return Moment(
         index=int(index),
-        time_s=float(recording["scorer/time_s"][index]),
+        time_s=time_s,
         segment=recording.header.segments[column],
         force_in_world=force[index, column].astype(np.float64),
         centroid_in_world=centroid,
         centroid_in_region=inside[0],
         outward_in_world=turn @ outward,
-        depth_m=_depth(recording, float(recording["scorer/time_s"][index])) if column == target else None,
-        deepest=_deepest(recording) if column == target else None,
+        depth_m=depth_m,
+        deepest=deepest,
     )
-
-
-def _depth(recording: Recording, time_s: float) -> float | None:
-    times = recording["scorer/period_time_s"]
-    if not times.size:
-        return None
-    period = min(int(np.searchsorted(times, time_s)), len(times) - 1)
-    return float(recording["scorer/indentation_m"][period, region_column(recording)])
-
-
-def _deepest(recording: Recording) -> tuple[float, float] | None:
-    times = recording["scorer/period_time_s"]
-    if not times.size:
-        return None
-    depths = recording["scorer/indentation_m"][:, region_column(recording)]
-    period = int(depths.argmax())
-    return float(depths[period]), float(times[period])
 
 
 def ends_of(region: str) -> tuple[str, str]:
     """Return words for the directions against and along the region's x axis."""
-    sight = REGIONS[region].sight
-    return ("toward the trunk", "toward the hand") if isinstance(sight, LimbSight) else (
-        "toward the feet", "toward the head",
-    )  # fmt: skip
+    is_limb = isinstance(REGIONS[region].sight, LimbSight)
+    return ("toward the trunk", "toward the hand") if is_limb else ("toward the feet", "toward the head")
 
 
 BESIDE_TIP_M = 0.01
@@ -133,8 +120,7 @@ def place_text(recording: Recording, moment: Moment) -> str:
 
 
 def place_notes(recording: Recording, moment: Moment) -> list[str]:
-    """Return sentences on a contact that is not what a reader expects: away from the tool's tip, or hardly on the
-    region's cells. Empty for an ordinary one."""
+    """Return sentences on a contact that is away from the tool's tip, or hardly on the region's cells."""
     notes: list[str] = []
     away_m = _away_from_tip(recording, moment)
     if away_m is not None:
@@ -172,8 +158,7 @@ def _flat(places: F64, radius: float) -> F64:
 
 
 def _away_from_tip(recording: Recording, moment: Moment) -> float | None:
-    """Distance of the contact from the tool's tip [m]; None where the tip presses, and for a robot that this release
-    does not have."""
+    """[m]; None where the tip presses, and for a robot that this release does not have."""
     robot = robot_of(recording.header.embodiment)
     if robot is None:
         return None
@@ -186,8 +171,7 @@ def _away_from_tip(recording: Recording, moment: Moment) -> float | None:
 
 
 def _felt_by_cells(recording: Recording, moment: Moment) -> float | None:
-    """Share of the segment's normal force that the cells felt in the control period of the moment; None where another
-    segment was pressed, or without cells."""
+    """Share of the segment's normal force in the control period; None where another was pressed, or without cells."""
     press, ends = recording.arrays.get("scorer/cell_press_ns"), recording["scorer/period_time_s"]
     if press is None or not ends.size or moment.depth_m is None:
         return None
@@ -219,12 +203,7 @@ FORESHORTENED_PX = 20
 
 
 def peak_svg(recording: Recording, moment: Moment | None, *, title: str) -> str | None:
-    """Return the picture; None if the trial stored none. Raises RecordingError for an image of another shape.
-
-    Args:
-        moment: what is drawn in; None: nothing.
-        title: text alternative.
-    """
+    """Draw a moment into the stored picture; None without one. Raises RecordingError for an image of another shape."""
     if "report/peak_rgb" not in recording.arrays:
         return None
     image = recording["report/peak_rgb"]
@@ -255,11 +234,7 @@ def _camera(recording: Recording, width: int, height: int) -> Project | None:
 
 
 def draw_contact(drawing: Drawing, recording: Recording, moment: Moment, project: Project, *, eye: F64) -> None:
-    """Draw the outline of the region's cells, the force and the indentation of a moment where a view shows them.
-
-    Args:
-        eye: (3,) place of the viewer in the world [m].
-    """
+    """``eye``: (3,) place of the viewer in the world [m]."""
     outline = region_outline(recording, moment.index, project, eye)
     if len(outline) > 2:
         drawing.polygon("outline halo", outline)
@@ -278,9 +253,9 @@ def draw_contact(drawing: Drawing, recording: Recording, moment: Moment, project
 
 
 def region_outline(recording: Recording, step: int, project: Project, eye: F64) -> list[tuple[float, float]]:
-    """Return the outline, in pixels, of those of the region's declared cells that face the viewer, as they lay at a
-    physics step; empty where there are fewer than three. Cells go round a limb, and an outline with those of its far
-    side would enclose places that are not on the region.
+    """Return the outline [px] of the region's cells that face the viewer at a step; empty with fewer than three.
+
+    Cells go round a limb: an outline with those of its far side would enclose places that are not on the region.
     """
     cells = recording.arrays.get("scorer/cell_in_region")
     if cells is None or len(cells) < 3:
@@ -300,12 +275,10 @@ def _draw_arrow(drawing: Drawing, start: F64, tip: F64, text: str) -> None:
     along = (tip - start) / max(float(np.linalg.norm(tip - start)), 1e-9)
     across = np.array([-along[1], along[0]])
     neck = tip - 11 * along
-    shaft = f"M{start[0]:.1f} {start[1]:.1f}L{neck[0]:.1f} {neck[1]:.1f}"
-    head = [tip, neck + 5.5 * across, neck - 5.5 * across]
-    drawing.path("arrow halo", shaft)
-    drawing.polygon("head halo", [(float(x), float(y)) for x, y in head])
-    drawing.path("arrow", shaft)
-    drawing.polygon("head", [(float(x), float(y)) for x, y in head])
+    head = np.array([tip, neck + 5.5 * across, neck - 5.5 * across]).tolist()
+    for style in (" halo", ""):
+        drawing.line(f"arrow{style}", [start, neck])
+        drawing.polygon(f"head{style}", head)
     # The words on the depth are to the upper left of the contact: those on the force stand behind an arrow that stands,
     # and above one that lies, or below it where it comes from the left.
     lies, aside = abs(along[0]) > SIDEWAYS, [0, 20 if along[0] > 0 else -12]
@@ -315,10 +288,9 @@ def _draw_arrow(drawing: Drawing, start: F64, tip: F64, text: str) -> None:
 
 def _draw_end_on(drawing: Drawing, tip: F64, text: str) -> None:
     x, y = tip.tolist()
-    cross = f"M{x - 5:.1f} {y - 5:.1f}l10 10m0 -10l-10 10"
     for style in (" halo", ""):
         drawing.circle(f"arrow{style}", x, y, 8)
-        drawing.path(f"arrow{style}", cross)
+        drawing.cross(f"arrow{style}", x, y)
     drawing.text("note", x + 15, y - 10, text)
 
 

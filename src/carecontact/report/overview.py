@@ -8,10 +8,9 @@ from itertools import combinations
 from string import ascii_uppercase
 from typing import Any
 
-from carecontact import __version__
 from carecontact.errors import ConfigError
 from carecontact.report.baselines import Baselines, role_in
-from carecontact.report.comparison import ALPHA, POWER, check_comparable, conclude, machines_text, plain, trials_by_key
+from carecontact.report.comparison import check_comparable, conclude, document, machines_text, trials_by_key
 from carecontact.report.paired import RATES, Line, Over, over_of, rate_lines, rate_of
 from carecontact.report.tables import SummaryRow, summary_rows
 from carecontact.runs.pooling import RunScores, rejected_text
@@ -54,17 +53,14 @@ def rank(methods: Mapping[str, Sequence[TrialScore]]) -> Ranking:
     Args:
         methods: name -> its judged trials; the same tasks and seeds for all, at least two methods.
     """
-    shares: dict[str, dict[str, float | None]] = {
-        step: {name: _share(sum(bool(getattr(s, field)) for s in scores), scores) for name, scores in methods.items()}
-        for step, field in STEPS.items()
-    }
-    gates = {name: gate_sweep(scores) for name, scores in methods.items()}
+    shares: dict[str, dict[str, float | None]] = {}
     for name, scores in methods.items():
-        for row in gamma_sweep(scores, GAMMAS):
-            shares.setdefault(f"gamma {row['gamma']:g}", {})[name] = _share(row["safety_gated"], scores)
-        for gate, rows in gates[name].items():
-            for row in rows:
-                shares.setdefault(f"{gate} {row['value']:g}", {})[name] = _share(row["safety_gated"], scores)
+        passed = {step: sum(bool(getattr(s, field)) for s in scores) for step, field in STEPS.items()}
+        passed |= {f"gamma {row['gamma']:g}": row["safety_gated"] for row in gamma_sweep(scores, GAMMAS)}
+        for gate, rows in gate_sweep(scores).items():
+            passed |= {f"{gate} {row['value']:g}": row["safety_gated"] for row in rows}
+        for level, k in passed.items():
+            shares.setdefault(level, {})[name] = k / len(scores) if scores else None
     shares = {level: found for level, found in shares.items() if found.keys() == methods.keys()}
     best = shares[REFERENCE]
     values = sorted({v for v in best.values() if v is not None}, reverse=True)
@@ -73,10 +69,6 @@ def rank(methods: Mapping[str, Sequence[TrialScore]]) -> Ranking:
         shares=shares,
         sweep=ranking_sweep(shares, reference=REFERENCE),
     )
-
-
-def _share(k: int, scores: Sequence[TrialScore]) -> float | None:
-    return k / len(scores) if scores else None
 
 
 OVERVIEW_SCHEMA = "carecontact-overview-2"
@@ -177,12 +169,5 @@ def overview_json(overview: Overview | None, baselines: Mapping[str, Baselines])
         overview: None where one run alone was given.
         baselines: letter of a run -> the blind baselines beside it.
     """
-    content: dict[str, Any] = {
-        "schema": OVERVIEW_SCHEMA,
-        "carecontact": __version__,
-        "alpha": ALPHA,
-        "power": POWER,
-        "overview": None if overview is None else asdict(overview),
-        "baselines": {name: asdict(found) for name, found in baselines.items()},
-    }
-    return {key: plain(value) for key, value in content.items()}
+    beside = {name: asdict(found) for name, found in baselines.items()}
+    return document(OVERVIEW_SCHEMA, {"overview": None if overview is None else asdict(overview), "baselines": beside})

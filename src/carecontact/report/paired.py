@@ -49,10 +49,9 @@ OVER_TEXTS: dict[Over, str] = {
 
 
 def over_of(score: TrialScore) -> Over:
-    """Return ``seeds`` where the protocol of a trial has levels, which share their persons, or draws bodies or places
-    by seed.
+    """Return ``seeds`` where the protocol has levels, which share their persons, or draws bodies or places by seed.
 
-    Elsewhere, the seed changes the angle of the arm alone, and trials are taken as independent, as the paper does.
+    Elsewhere, the seed changes only the angle of the arm, and trials are taken as independent, as the paper does.
     """
     has_level = " " in score.protocol_id
     return "seeds" if has_level or any(name.startswith(DRAWN) for name in score.world) else "trials"
@@ -272,10 +271,7 @@ Line = RateLine | ScoreLine
 
 
 def paired_lines(pairs: Sequence[Pair], every_a: Sequence[TrialScore], every_b: Sequence[TrialScore]) -> list[Line]:
-    """Return a line for each outcome over these pairs, without verdicts.
-
-    An outcome has none where no pair is of its actions or where a run was scored without it.
-    """
+    """Return a line, without a verdict, for each outcome of which a pair has the action and both runs were scored."""
     lines: list[Line] = [*rate_lines(pairs, every_a, every_b)]
     for outcome in score_outcomes():
         kept = [pair for pair in pairs if outcome.counts(pair[0])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 from carecontact.errors import counted
@@ -37,12 +38,8 @@ PARTS = {
 
 
 def other_rules(methods: Sequence[Method], protocol: Protocol | None) -> str | None:
-    """Return a note for tables with the paper's values; None where the runs have the rules of the paper and as many
-    trials.
-
-    Args:
-        protocol: what the runs ran; None if it is unknown, and then its name decides.
-    """
+    """Return a note for tables with the paper's values; None where the runs have its rules and as many trials. Of an
+    unknown protocol (None), the name decides."""
     first = next((score for method in methods for score in method.scores), None)
     if first is None:
         return None
@@ -108,8 +105,7 @@ PAIR = ("state-machine", "voxposer")
 
 
 def contrasts(methods: Sequence[Method], paper: Paper, *, note: str | None = None) -> Table | None:
-    """Return the tests between the paper's two methods if both are there, and otherwise between the first two; None
-    where there is only one method."""
+    """Return the tests between the paper's two methods, or else the first two; None with only one method."""
     if len(methods) < 2:
         return None
     by_policy = {method.policy: method for method in reversed(methods)}
@@ -160,21 +156,12 @@ def capability(paper: Paper) -> Table:
 def tasks(protocol: Protocol, paper: Paper, methods: Sequence[Method]) -> Table:
     """``methods``: they tell which of the protocol's tasks ran."""
     ran = {score.task_id for method in methods for score in method.scores}
-    rows = (
-        (
-            task.id,
-            task.name if task.id in ran else f"{task.name} (not run)",
-            protocol.task(task.id).prompt,
-            *paper.tasks.get(task.id, [ABSENT, ABSENT]),
-        )
-        for task in protocol.tasks
-    )
-    return Table(
-        name="tasks",
-        caption=f"Tasks of {protocol.title}",
-        head=("ID", "Task", "Prompt", "Paper: task", "Paper: purpose"),
-        rows=tuple(rows),
-    )
+    rows: list[tuple[str, ...]] = []
+    for task in protocol.tasks:
+        name = task.name if task.id in ran else f"{task.name} (not run)"
+        rows.append((task.id, name, protocol.task(task.id).prompt, *paper.tasks.get(task.id, [ABSENT, ABSENT])))
+    head = ("ID", "Task", "Prompt", "Paper: task", "Paper: purpose")
+    return Table(name="tasks", caption=f"Tasks of {protocol.title}", head=head, rows=tuple(rows))
 
 
 def metrics(paper: Paper) -> Table:
@@ -201,12 +188,16 @@ def protocol_table(protocol: Protocol, paper: Paper, methods: Sequence[Method]) 
     """Return the table of the protocol. Counts are those of the trials of ``methods``, beside those that the protocol
     plans."""
     gates, limits = protocol.gates, protocol.limits
+    places = "the seed draws their places" if protocol.variation.draws_models else "one person"
+    drawn = "" if protocol.variation.tissue == "declared" else ", with a stiffness drawn by the seed"
+    trials = {frozenset((s.task_id, s.seed) for s in method.scores) for method in methods}
+    same = "the same of every task for all methods" if len(trials) == 1 else "not the same for all methods"
     ours = {
-        "Assets": f"one bed and robot for all methods; {_drawn(protocol)}",
+        "Assets": f"one bed and robot for all methods; {places}",
         "Person": _person(protocol),
-        "Tissue": _tissue(protocol),
+        "Tissue": f"{protocol.person.tissue_set}{drawn}",
         "Comfort-arm angle": "{:g} to {:g} deg".format(*protocol.randomization.comfort_arm_deg),
-        "Seeds": "the same of every task for all methods" if _same_trials(methods) else "not the same for all methods",
+        "Seeds": same,
         **_counts(protocol, methods),
         "Success gates": _gates(gates),
         **{f"Pain onset, {name.replace('_', ' ')}": f"{value:g} N" for name, value in limits.f_pain_n.items()},
@@ -249,14 +240,6 @@ def _range(counts: Iterable[int]) -> str:
     return " to ".join(map(str, dict.fromkeys((found[0], found[-1])))) if found else "0"
 
 
-def _same_trials(methods: Sequence[Method]) -> bool:
-    return len({frozenset((s.task_id, s.seed) for s in method.scores) for method in methods}) == 1
-
-
-def _drawn(protocol: Protocol) -> str:
-    return "the seed draws their places" if protocol.variation.draws_models else "one person"
-
-
 def _person(protocol: Protocol) -> str:
     bodies = protocol.variation.bodies
     body = f"{len(bodies)} bodies, drawn by the seed" if bodies else protocol.person.body
@@ -265,11 +248,6 @@ def _person(protocol: Protocol) -> str:
     does = [word for word, value in moves.items() if value is not None]
     does += [alive.manner] if alive.manner != "passive" else []
     return f"{body}; {listed(does)}" if does else body
-
-
-def _tissue(protocol: Protocol) -> str:
-    drawn = "" if protocol.variation.tissue == "declared" else ", with a stiffness drawn by the seed"
-    return f"{protocol.person.tissue_set}{drawn}"
 
 
 def _gates(gates: Gates) -> str:
@@ -283,9 +261,8 @@ def _gates(gates: Gates) -> str:
 
 def _amount(field: str, value: float) -> str:
     name, _, unit = field.rpartition("_")
-    return (
-        f"{name} {value:g} {UNITS[unit]}".replace("_", " ") if unit in UNITS else f"{field} {value:g}".replace("_", " ")
-    )
+    text = f"{name} {value:g} {UNITS[unit]}" if unit in UNITS else f"{field} {value:g}"
+    return text.replace("_", " ")
 
 
 def _joints(beyond_rad: float | None) -> str:
@@ -311,7 +288,9 @@ def rates(methods: Sequence[Method], *, note: str | None = None) -> Table:
         for rate in RATES:
             n = len(method.scores)
             k = sum(bool(rate.of(score)) for score in method.scores)
-            ours = _ours(k, n, interval=enough_seeds(method.scores))
+            found = wilson_interval(k, n)
+            interval = (found.low, found.high) if enough_seeds(method.scores) else (None, None)
+            ours = _in_percent(k / n, *interval)
             printed = method.published and _in_percent(*method.published.rates[rate.id])
             cells += [f"{k}/{n}", _shown(ours), _shown(printed) if printed else ABSENT]
             numbers.append((method.title, rate.id, k, n, *ours, *(printed or (None, None, None))))
@@ -329,11 +308,6 @@ def rates(methods: Sequence[Method], *, note: str | None = None) -> Table:
         ),
         numbers=(RATES_NUMBERS, *numbers),
     )
-
-
-def _ours(k: int, n: int, *, interval: bool) -> Rate:
-    found = wilson_interval(k, n)
-    return _in_percent(k / n, *((found.low, found.high) if interval else (None, None)))
 
 
 def _in_percent(share: float, low: float | None, high: float | None) -> Rate:
@@ -358,11 +332,9 @@ def scores(methods: Sequence[Method], paper: Paper, *, note: str | None = None) 
         cells: list[str] = []
         for outcome in outcomes:
             found = median(outcome.of(score) for score in method.scores if outcome.counts(score))
-            ours = (
-                ABSENT if found.estimate is None else f"{_shown_score(outcome.id, found.estimate)} (n={found.n_valid})"
-            )
             printed = method.published.medians.get(outcome.id) if method.published else None
-            cells += [ours, ABSENT if printed is None else _shown_score(outcome.id, printed)]
+            valid = "" if found.estimate is None else f" (n={found.n_valid})"
+            cells += [_shown_score(outcome.id, found.estimate) + valid, _shown_score(outcome.id, printed)]
             numbers.append((method.title, outcome.id, outcome.unit, found.estimate, found.n_valid, printed))
         rows.append((method.title, *cells))
     units = ["" if o.unit == "1" else f" [{'mrad' if o.unit == 'rad' else o.unit}]" for o in outcomes]
@@ -380,8 +352,10 @@ def scores(methods: Sequence[Method], paper: Paper, *, note: str | None = None) 
     )
 
 
-def _shown_score(id_: str, value: float) -> str:
+def _shown_score(id_: str, value: float | None) -> str:
     """Return a value with as many digits as the paper prints; margins [rad] in mrad, which need no power of ten."""
+    if value is None:
+        return ABSENT
     if id_ == "C2":
         return f"{1000 * value:.3g}" if abs(value) < 0.1 else f"{1000 * value:.0f}"
     return f"{value:.3f}" if id_ == "C4" else f"{value:.2f}"
@@ -394,11 +368,7 @@ Read = Callable[[str], Recording]
 
 
 def tables_of(runs: Sequence[RunScores], protocol: Protocol | None) -> list[Table]:
-    """Return the tables of runs of one protocol.
-
-    Args:
-        runs: each of one policy.
-        protocol: what they ran; None if it is unknown, which leaves two tables out.
+    """Return the tables of runs, each of one policy; an unknown protocol (None) leaves two tables out.
 
     Raises ConfigError, naming what differs, if the runs must not stand in one table.
     """
@@ -452,8 +422,7 @@ def write_figures(runs: Sequence[RunScores], read: Mapping[int, Read], folder: P
 
 
 def remove_earlier(folder: Path, written: Sequence[Path]) -> list[Path]:
-    """Remove the tables and figures in a folder that an earlier build wrote and this one did not: they are of other
-    runs. Returns their paths.
+    """Remove the tables and figures that an earlier build wrote and this one did not: they are of other runs.
 
     Args:
         folder: the one that holds ``tables`` and ``figures``.
@@ -481,8 +450,7 @@ def one_of_each_task(methods: Sequence[Method]) -> list[list[str]]:
 
     found: list[list[str]] = []
     for method in methods:
-        by_task: dict[str, list[TrialScore]] = {}
-        for score in method.scores:
-            by_task.setdefault(score.task_id, []).append(score)
-        found.append([max(scores, key=worth).trial_id for _, scores in sorted(by_task.items())])
+        ordered = sorted(method.scores, key=lambda score: score.task_id)
+        by_task = groupby(ordered, key=lambda score: score.task_id)
+        found.append([max(scores, key=worth).trial_id for _, scores in by_task])
     return found

@@ -14,6 +14,7 @@ import numpy as np
 from carecontact.errors import counted
 from carecontact.interface.regions import REGIONS
 from carecontact.plotting import plain_figures
+from carecontact.report.moment import region_column, region_poses
 from carecontact.report.words import short_names
 
 if TYPE_CHECKING:
@@ -105,11 +106,7 @@ STREAMS = (("Force [N]", 1.0), ("Wrist moved [mm]", 5.0), ("Tissue pressed in [m
 
 
 def draw_traces(figure: Figure, methods: Sequence[Method], recordings: Sequence[Sequence[Recording]]) -> None:
-    """Draw a row for each task, in which every method has a line of its colour.
-
-    Args:
-        recordings: for each method, one trial of each task; none where a method has no recordings.
-    """
+    """Draw a row for each task; ``recordings``: for each method, one trial of each task, or none."""
     by_task: dict[str, list[tuple[int, Recording]]] = {}
     for place, of_method in enumerate(recordings):
         for recording in of_method:
@@ -148,7 +145,7 @@ def streams(recording: Recording) -> list[tuple[Any, Any]]:
     time_s = recording["scorer/time_s"]
     force = np.linalg.norm(recording["scorer/force_human_from_robot_in_world"][:, segment], axis=1)
     shift = (recording["scorer/wrist_in_world"] - recording["scorer/wrist_settled_in_world"])[:, :2]
-    indented = recording["scorer/indentation_m"][:, header.regions.index(region)]
+    indented = recording["scorer/indentation_m"][:, region_column(recording)]
     return [
         (time_s, force),
         (time_s, 1000 * np.linalg.norm(shift, axis=1)),
@@ -175,11 +172,7 @@ BIN_MM, FEWEST = 0.5, 5
 
 
 def draw_indentation(figure: Figure, methods: Sequence[Method], recordings: Sequence[Sequence[Recording]]) -> None:
-    """Draw the points of every trial in the colour of its method, and a line through the method's medians.
-
-    Args:
-        recordings: for each method, its trials.
-    """
+    """Draw the points of every trial in the colour of its method, and a line through the method's medians."""
     by_region: dict[str, dict[int, list[tuple[Any, Any]]]] = {}
     for place, of_method in enumerate(recordings):
         for recording in of_method:
@@ -225,28 +218,16 @@ def binned(depth: Any, force: Any) -> tuple[Any, Any]:
 
 # Figure 4: what the methods did, every trial as a point, and why they failed.
 
-MODES = (
-    "insufficient_progress", "no_target_contact", "off_target_contact", "lost_contact", "wrong_share",
-    "safety_truncation", "time_limit", "process_failure", "outside_band", "joint_beyond_range",
-    "not_by_tool",
-)  # fmt: skip
+MODES = {
+    "insufficient_progress": "#E69F00", "no_target_contact": "#56B4E9", "off_target_contact": "#0072B2",
+    "lost_contact": "#CC79A7", "wrong_share": "#F0E442", "safety_truncation": "#D55E00", "time_limit": "#999999",
+    "process_failure": "#000000", "outside_band": "#8C564B", "joint_beyond_range": "#009E73", "not_by_tool": "#7A4FBF",
+}  # fmt: skip
+"""Failure mode -> its colour."""
 LINES = ("-", "--", ":", "-.")
 """Line styles of the tasks over one region."""
 NEAR_MM = 250.0
 """Tool paths are drawn where they are within this distance of the region's middle, along it and across it."""
-MODE_COLOURS = (
-    "#E69F00",
-    "#56B4E9",
-    "#0072B2",
-    "#CC79A7",
-    "#F0E442",
-    "#D55E00",
-    "#999999",
-    "#000000",
-    "#8C564B",
-    "#009E73",
-    "#7A4FBF",
-)
 
 
 def mean_force(score: TrialScore) -> float | None:
@@ -391,8 +372,8 @@ def _paths(panel: Any, methods: Sequence[Method], shown: Sequence[tuple[int, Rec
         along, across = np.where(near, along, np.nan), np.where(near, across, np.nan)
         far += [] if near.any() else [f"{names[place]}, {task}"]
         panel.plot(along, across, color=colour_of(place), lw=0.8, alpha=0.85, ls=_style(tasks, task))
-    half_length, half_width = _half_size_mm(shown[0][1])
-    x, y = np.array([-1, 1, 1, -1, -1]) * half_length, np.array([-1, -1, 1, 1, -1]) * half_width
+    length, radius, _ = shown[0][1]["scorer/region_size_m"][region_column(shown[0][1])].tolist()
+    x, y = np.array([-1, 1, 1, -1, -1]) * 500 * length, np.array([-1, -1, 1, 1, -1]) * 1000 * radius
     panel.plot(x, y, color="black", lw=0.9, label="region")
     panel.plot([0], [0], "k+", ms=6)
     for task in tasks:
@@ -414,18 +395,9 @@ def _style(tasks: Sequence[str], task: str) -> str:
     return LINES[tasks.index(task) % len(LINES)]
 
 
-def _half_size_mm(recording: Recording) -> tuple[float, float]:
-    header = recording.header
-    column = header.regions.index(header.spec.protocol.task(header.spec.task_id).region)
-    length, radius, _ = recording["scorer/region_size_m"][column]
-    return 500 * float(length), 1000 * float(radius)
-
-
 def _over_region(recording: Recording) -> tuple[Any, Any]:
-    header = recording.header
-    region = header.regions.index(header.spec.protocol.task(header.spec.task_id).region)
-    poses = recording["scorer/region_pose_in_world"]
-    origin, (w, x, y, z) = poses[0, region, :3].astype(float), poses[0, region, 3:].astype(float)
+    pose = region_poses(recording)[0]
+    origin, (w, x, y, z) = pose[:3], pose[3:]
     ahead = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
     ahead /= np.linalg.norm(ahead) or 1.0
     flat = 1000 * (recording["scorer/pose_tcp_in_world"][::25, :2] - origin[:2])
@@ -435,15 +407,15 @@ def _over_region(recording: Recording) -> tuple[Any, Any]:
 def _failures(panel: Any, methods: Sequence[Method]) -> None:
     counts = [Counter(s.failure_mode for s in m.scores if s.failure_mode) for m in methods]
     most = max(sum(count.values()) for count in counts)
-    for mode, colour in zip(MODES, MODE_COLOURS, strict=True):
-        for place, count in enumerate(counts):
-            if count[mode]:
-                left = sum(count[earlier] for earlier in MODES[: MODES.index(mode)])
-                # The name is on one bar of each mode.
-                first = not any(other[mode] for other in counts[:place])
-                label = mode.replace("_", " ") if first else None
-                panel.barh(place, count[mode], left=left, color=colour, height=0.5, label=label)
-                _number(panel, left + count[mode] / 2, place, count[mode], colour, wide=count[mode] >= 0.03 * most)
+    left = [0] * len(counts)
+    for mode, colour in MODES.items():
+        # The name is on one bar of each mode.
+        label: str | None = mode.replace("_", " ")
+        for place, k in enumerate(count[mode] for count in counts):
+            if k:
+                panel.barh(place, k, left=left[place], color=colour, height=0.5, label=label)
+                _number(panel, left[place] + k / 2, place, k, colour, wide=k >= 0.03 * most)
+                left[place], label = left[place] + k, None
     labels = [
         f"{name}\n({sum(count.values())} of {len(method.scores)})"
         for name, count, method in zip(names_of(methods), counts, methods, strict=True)

@@ -86,8 +86,7 @@ class Page:
 
     @property
     def passed(self) -> Proportion:
-        """Share of the planned trials that are safety-gated; its interval goes from all trials without a verdict failed
-        to all of them passed."""
+        """Share of the planned trials that are safety-gated; those without a verdict widen its interval."""
         found, unknown = rate_of(self.judged, "safety_gated"), len(self.unjudged)
         if not unknown:
             return found
@@ -112,10 +111,8 @@ class Section:
     """Empty: the template has its own frame, as the headline has."""
     order: int
     """Place on the page, lowest first."""
-    template: str
-    """Jinja that sees what ``data`` returns; its values are escaped."""
     data: Data
-    """None: the page goes without this section."""
+    """What the template in the file of the section's id sees; None: the page goes without this section."""
     keep: Keep | None = None
     """Sees each recording of ``Page.shown`` once, hardest contact of a task first, and puts what the section needs of
     it into the section's own dictionary. A RecordingError makes the trial one of ``Page.unread``."""
@@ -130,19 +127,12 @@ SECTIONS: Registry[Section] = Registry("section", scan="carecontact.report.secti
 
 
 def section(
-    name: str, title: str = "", *, order: int, template: str = "", keep: Keep | None = None, style: str = ""
+    name: str, title: str = "", *, order: int, keep: Keep | None = None, style: str = ""
 ) -> Callable[[Data], Data]:
-    """Register a function of the page as a section; ``Section`` explains the arguments.
-
-    Args:
-        template: default: the file of the section's id in the folder ``templates``.
-    """
+    """Register a function of the page as a section."""
 
     def register(data: Data) -> Data:
-        source = template or f'{{% include "{name.replace(" ", "-")}.html.j2" %}}'
-        SECTIONS.register(
-            name, Section(name=name, title=title, order=order, template=source, data=data, keep=keep, style=style)
-        )
+        SECTIONS.register(name, Section(name=name, title=title, order=order, data=data, keep=keep, style=style))
         return data
 
     return register
@@ -186,15 +176,11 @@ def write_report(
     lost_baselines: Mapping[str, str] | None = None,
     kept_scores: str = "",
 ) -> Path:
-    """Write ``run_folder/report.html`` and return its path.
-
-    Planned trials without a verdict make every count an interval. Raises ConfigError if the scores mix protocols,
-    policies or worlds.
+    """Write ``run_folder/report.html`` and return its path. Raises ConfigError as ``check_one_run``.
 
     Args:
-        recordings: trial id -> its recording. Called once for each trial shown in detail; the result is dropped before
-            the next, so a long run needs the memory of one. A recording that raises RecordingError is named on the
-            page.
+        recordings: trial id -> its recording. Called once for each trial shown in detail, so a long run needs the
+            memory of one. A recording that raises RecordingError is named on the page.
         skipped: trial id or file name -> why it has no score.
         missing: trials that were planned and have no score.
         elsewhere: trials of the other parts of the run.
@@ -265,7 +251,7 @@ def _read(page: Page, sections: Sequence[Section], recordings: Read) -> None:
 
 def _render(page: Page, sections: Sequence[Section]) -> str:
     found = [(section, data) for section in sections if (data := section.data(page)) is not None]
-    parts = [(section, environment().from_string(section.template).render(data)) for section, data in found]
+    parts = [(section, render(f"{section.id}.html.j2", **data)) for section, data in found]
     digest = hashlib.sha256(table_script().encode()).digest()
     return render(
         "report.html.j2",

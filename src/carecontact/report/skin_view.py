@@ -59,21 +59,20 @@ def paths(recording: Recording) -> Paths | None:
 
 
 def noted_targets(recording: Recording, notes: list[Note], found: Paths) -> list[tuple[float, float, float]]:
-    """Return the different places (x, y, z) [m] that the policy noted as ``target_m``, in the region's frame at that
-    time."""
+    """Return the different places (x, y, z) [m] noted as ``target_m``, in the region's frame at that time."""
     base = np.array(recording.header.pose_base_in_world)
     turn = matrix_from_quat(base[3:])
     looked = recording["policy/observation_time_s"]
-    places: dict[tuple[float, float, float], None] = {}
+    places: list[tuple[float, float, float]] = []
     for note in notes:
         target = note.content.get("target_m")
         if not _is_place(target) or note.observation_index >= len(looked):
             continue
         period = min(int(np.searchsorted(found.time_s, looked[note.observation_index])), len(found.time_s) - 1)
         place = points_in_region((turn @ np.array(target, float) + base[:3])[None], found.pose[period][None])[0]
-        x, y, z = (round(float(value), 4) for value in place)
-        places[x, y, z] = None
-    return list(places)
+        x, y, z = np.round(place, 4).tolist()
+        places.append((x, y, z))
+    return list(dict.fromkeys(places))
 
 
 def _is_place(value: object) -> bool:
@@ -162,11 +161,7 @@ class Frame:
 def skin_views(
     recording: Recording, found: Paths, moment: Moment | None, noted: list[tuple[float, float, float]]
 ) -> list[tuple[str, str]]:
-    """Return, for each view, words on which way one looks and its drawing; empty where the recording has no skin
-    (before this release).
-
-    Raises RecordingError for a skin of the wrong shape.
-    """
+    """Return for each view which way one looks and its drawing; empty without a skin. Raises as ``skin_of``."""
     stored = skin_of(recording, len(recording["scorer/time_s"]) - 1 if moment is None else moment.index)
     if stored is None:
         return []
@@ -197,7 +192,7 @@ def _view(
         for part in inside(frame.px(line, side.up), WIDTH, frame.height):
             drawing.polyline(style, part)
     for x, y in frame.shown(np.array(noted).reshape(-1, 3), side.up):
-        drawing.path("noted", f"M{x - 5:.1f} {y - 5:.1f}l10 10m0 -10l-10 10")
+        drawing.cross("noted", x, y)
     if moment is not None:
         for x, y in frame.shown(moment.centroid_in_region[None], side.up):
             drawing.circle("peak", x, y, 4.5)
@@ -230,14 +225,9 @@ def _draw_cells(drawing: Drawing, frame: Frame, side: Side, recording: Recording
 
 
 def skin_of(recording: Recording, step: int) -> tuple[F64, npt.NDArray[np.integer]] | None:
-    """Return the stored skin: vertices (N, 3) [m] in the frame of the region, and triangles (M, 3).
+    """Return the skin, stored at a physics step: vertices (N, 3) [m] in the region's frame, and triangles (M, 3).
 
-    Args:
-        step: of the physics steps that at which the skin was stored.
-
-    None where the recording has no skin (before this release).
-
-    Raises RecordingError for a skin of the wrong shape.
+    None where the recording has no skin (before this release). Raises RecordingError for one of the wrong shape.
     """
     if "report/skin_in_world" not in recording.arrays or "report/skin_faces" not in recording.arrays:
         return None
@@ -260,11 +250,7 @@ def _draw_scale(drawing: Drawing, frame: Frame, recording: Recording) -> None:
 
 
 def skin_uri(frame: Frame, side: Side, skin: F64, faces: npt.NDArray[np.integer]) -> str:
-    """Return the skin as a picture with nothing behind it: triangles from the farthest to the nearest, shaded by slope.
-
-    Args:
-        skin: (N, 3) vertices [m] in the frame of the view.
-    """
+    """Return (N, 3) vertices [m] in the view's frame as a picture: triangles from far to near, shaded by slope."""
     from PIL import Image, ImageDraw
 
     from carecontact.pictures import png

@@ -6,6 +6,7 @@ import base64
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any, Literal
 from xml.sax.saxutils import escape, quoteattr
 
@@ -35,17 +36,17 @@ class Drawing:
     def path(self, style: str, d: str) -> None:
         self.parts.append(f'<path class="{style}" d="{d}"/>')
 
-    def text(self, style: str, x: float, y: float, text: str, *, anchor: Anchor = "start", note: str = "") -> None:
-        """``note``: smaller words after the text."""
+    def text(self, style: str, x: float, y: float, text: str, *, anchor: Anchor = "start") -> None:
         where = "" if anchor == "start" else f' text-anchor="{anchor}"'
-        small = f'<tspan class="meaning" dx="8">{escape(note)}</tspan>' if note else ""
-        self.parts.append(f'<text class="{style}" x="{_px(x)}" y="{_px(y)}"{where}>{escape(text)}{small}</text>')
+        self.parts.append(f'<text class="{style}" x="{_px(x)}" y="{_px(y)}"{where}>{escape(text)}</text>')
 
-    def rect(self, style: str, x: float, y: float, width: float, height: float, *, rounded: bool = False) -> None:
-        corner = ' rx="2"' if rounded else ""
-        self.parts.append(
-            f'<rect class="{style}" x="{_px(x)}" y="{_px(y)}" width="{_px(width)}" height="{_px(height)}"{corner}/>'
-        )
+    def line(self, style: str, ends: npt.ArrayLike) -> None:
+        """(2, 2) from one place to another."""
+        (x0, y0), (x1, y1) = np.asarray(ends).tolist()
+        self.path(style, f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}")
+
+    def cross(self, style: str, x: float, y: float) -> None:
+        self.path(style, f"M{x - 5:.1f} {y - 5:.1f}l10 10m0 -10l-10 10")
 
     def circle(self, style: str, x: float, y: float, radius: float, *, opacity: float = 1.0) -> None:
         through = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
@@ -57,9 +58,9 @@ class Drawing:
     def polygon(self, style: str, points: Points) -> None:
         self.parts.append(f'<polygon class="{style}" points="{_points(points)}"/>')
 
-    def image(self, uri: str, x: float = 0, y: float = 0, *, width: float | None = None) -> None:
-        """A picture as a data URI with its upper left corner at a place, as wide as the drawing by default."""
-        self.parts.append(f'<image href="{uri}" x="{_px(x)}" y="{_px(y)}" width="{_px(width or self.width)}"/>')
+    def image(self, uri: str) -> None:
+        """A picture as a data URI, as wide as the drawing."""
+        self.parts.append(f'<image href="{uri}" x="0" y="0" width="{_px(self.width)}"/>')
 
     def svg(self) -> str:
         head = (
@@ -119,14 +120,30 @@ class Axes:
             self.across("tick", value)
             self.drawing.text("label", self.left - 5, self.py(value) + 3.5, text, anchor="end")
 
+    def windows(self, found: Iterable[tuple[float, float]]) -> None:
+        """A band from edge to edge for each (first, last) value of x."""
+        for start, stop in found:
+            x, width = self.px(start), max(self.px(stop) - self.px(start), 0.8)
+            self.drawing.parts.append(
+                f'<rect class="window" x="{_px(x)}" y="{_px(self.top)}" width="{_px(width)}" '
+                f'height="{_px(self.height)}"/>'
+            )
+
+    def peak(self, x: float, y: float, *, turn: float) -> None:
+        """A point with its force [N], at the left of the point beyond a share ``turn`` of the width."""
+        at, up = self.point(x, y)
+        far = at > self.left + turn * self.width
+        self.drawing.circle("peak", at, up, 2.6)
+        anchor: Anchor = "end" if far else "start"
+        self.drawing.text("label value", at + (-5 if far else 5), up - 4, f"{y:.1f} N", anchor=anchor)
+
     def x_labels(self, ticks: Iterable[tuple[float, str]], *, style: str = "label") -> None:
         for value, text in ticks:
             self.drawing.text(style, self.px(value), self.floor + 15, text, anchor="middle")
 
 
 def nice_ticks(top: float, *, count: int) -> list[float]:
-    """Return multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``: 2 to ``count`` + 1 of them, for count >=
-    3."""
+    """Return 2 to ``count`` + 1 multiples of 1, 2 or 5 times a power of ten from 0 up to ``top``, for count >= 3."""
     raw = top / count
     power = 10.0 ** math.floor(math.log10(raw))
     step = power * next(m for m in (1, 2, 5, 10) if m * power >= raw * (1 - 1e-9))
@@ -167,12 +184,10 @@ def jpeg_data_uri(image: npt.NDArray[Any], *, max_width: int = MAX_WIDTH) -> str
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise RecordingError(f"stored frame has shape {image.shape} and dtype {image.dtype}; valid: (H, W, 3) uint8")
     data = b""
-    for width in (max_width, max_width // 2):
-        small = shrunk(image, width) if image.shape[1] > width else image
-        for quality in QUALITIES:
-            data = jpeg(small, quality)
-            if len(data) <= MAX_BYTES:
-                return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+    for width, quality in product((max_width, max_width // 2), QUALITIES):
+        data = jpeg(shrunk(image, width) if image.shape[1] > width else image, quality)
+        if len(data) <= MAX_BYTES:
+            break
     return "data:image/jpeg;base64," + base64.b64encode(data).decode()
 
 
@@ -205,12 +220,7 @@ APART_PX = 0.7
 
 
 def inside(points: npt.NDArray[np.float64], width: float, height: float) -> list[list[tuple[float, float]]]:
-    """Cut a line through (N, 2) points [px] at the edges of the rectangle from (0, 0) to (width, height).
-
-    Returns:
-        One list of (x, y) [px] for each part of the line inside the rectangle, in the order of the line. Points nearer
-        than about ``APART_PX`` to their predecessor are left out, except the last one of a part.
-    """
+    """Return the parts of a line through (N, 2) points [px] inside the rectangle from (0, 0) to (width, height)."""
     along = np.diff(points, axis=0)
     divisor = np.where(along == 0, 1e-12, along)
     at_edges = np.sort([-points[:-1] / divisor, ([width, height] - points[:-1]) / divisor], axis=0)

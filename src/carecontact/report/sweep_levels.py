@@ -162,11 +162,7 @@ class Ladder:
 
 
 def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
-    """Return the rates from level to level; None where the plan has one protocol, or where nothing has run.
-
-    Args:
-        outcome: field of a score that says whether a trial passed.
-    """
+    """Return the rates from level to level; None where the plan has one protocol, or where nothing has run."""
     values = levels_of(cells)
     if len(values) < 2 or not any(cell.scores for cell in cells):
         return None
@@ -178,14 +174,12 @@ def ladder(cells: Sequence[CellScores], outcome: str) -> Ladder | None:
         }
         for value in values
     }
-    methods, pairs = of_role(cells, "method"), list[tuple[str, str, str, PersonDifference]]()
-    for value in values:
-        for a, b in combinations(methods, 2):
-            pairs.append((value, a, b, found[value][a].minus(found[value][b])))
-    adjusted = holm([difference.test.pvalue for *_, difference in pairs]).adjusted
+    pairs = [(value, a, b) for value in values for a, b in combinations(of_role(cells, "method"), 2)]
+    differences = [found[value][a].minus(found[value][b]) for value, a, b in pairs]
+    adjusted = holm([difference.test.pvalue for difference in differences]).adjusted
     contrasts = [
         (value, Contrast(a=a, b=b, difference=difference, p_holm=p))
-        for (value, a, b, difference), p in zip(pairs, adjusted, strict=True)
+        for (value, a, b), difference, p in zip(pairs, differences, adjusted, strict=True)
     ]
     roles: dict[str, Role] = {cell.label: cell.role for cell in cells}
     rungs = [
@@ -257,11 +251,7 @@ class Factors:
 
 
 def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
-    """Return what each factor costs and gives back; None where the plan switches no factors, or where nothing has run.
-
-    Args:
-        outcome: field of a score that says whether a trial passed.
-    """
+    """Return what each factor costs and gives back; None where no factors are switched, or where nothing has run."""
     if not any(AXIS in cell.values and cell.scores for cell in cells):
         return None
     policies = list(dict.fromkeys(cell.label for cell in cells))
@@ -272,21 +262,12 @@ def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
         for name in policies
         for value in dict.fromkeys(cell.values[AXIS] for cell in cells)
     }
-    names = [value.removeprefix(only_factor("")) for _, value in found if value.startswith(only_factor(""))]
-    rows = [
-        (
-            factor,
-            name,
-            found[name, only_factor(factor)],
-            found[name, NONE],
-            found[name, without_factor(factor)],
-            found[name, ALL],
-        )
-        for name in policies
-        for factor in dict.fromkeys(names)
-    ]
-    pairs = [(plus.minus(none), minus.minus(every)) for *_, plus, none, minus, every in rows]
-    adjusted = iter(holm([one.test.pvalue for pair in pairs for one in pair]).adjusted)
+    only = only_factor("")
+    names = dict.fromkeys(value.removeprefix(only) for _, value in found if value.startswith(only))
+    rows = [(name, factor) for name in policies for factor in names]
+    costs = [found[name, only_factor(factor)].minus(found[name, NONE]) for name, factor in rows]
+    gains = [found[name, without_factor(factor)].minus(found[name, ALL]) for name, factor in rows]
+    adjusted = holm([one.test.pvalue for one in (*costs, *gains)]).adjusted
     return Factors(
         low={name: found[name, NONE].rate for name in policies},
         high={name: found[name, ALL].rate for name in policies},
@@ -294,14 +275,14 @@ def factors(cells: Sequence[CellScores], outcome: str) -> Factors | None:
             Effect(
                 factor=factor,
                 policy=name,
-                alone=plus.rate,
-                costs=costs,
-                costs_p_holm=next(adjusted),
-                without=minus.rate,
-                gives_back=gives_back,
-                gives_back_p_holm=next(adjusted),
+                alone=found[name, only_factor(factor)].rate,
+                costs=costs[row],
+                costs_p_holm=adjusted[row],
+                without=found[name, without_factor(factor)].rate,
+                gives_back=gains[row],
+                gives_back_p_holm=adjusted[len(rows) + row],
             )
-            for (factor, name, plus, _, minus, _), (costs, gives_back) in zip(rows, pairs, strict=True)
+            for row, (name, factor) in enumerate(rows)
         ),
     )
 

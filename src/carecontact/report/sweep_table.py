@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -23,7 +24,6 @@ from carecontact.report.sweep_levels import (
 from carecontact.report.tables import POOLED, SummaryRow, counts_of, headlines, sorted_scores
 from carecontact.report.words import enough
 from carecontact.runs.pooling import check_one_run, check_ranked, judged
-from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import kendall_tau
 from carecontact.stats.persons import GENERATOR_SEED, RESAMPLES
@@ -73,32 +73,31 @@ class Bands:
 
 
 def bands(cells: Sequence[CellScores], outcome: str, *, ranked: Sequence[str]) -> Bands | None:
-    """Return the spread of each metric over draws; None where no policy has two trials of a task. A *draw* is one
-    combination of the axes' values and one seed.
-
-    Args:
-        outcome: field of a score that says whether a trial passed.
-        ranked: policies of which it is asked whether they change places.
-    """
+    """Return the spread of each metric over draws, and where ranked policies change places; None where no policy has
+    two trials of a task. A *draw* is one combination of the axes' values and one seed."""
     policies = list(dict.fromkeys(cell.label for cell in cells))
     found = {name: trials_of((c for c in cells if c.label == name), outcome, without=()) for name in policies}
     tasks = sorted({task for one in found.values() for _, task, _ in one.scores})
-    alone = {(name, task): _of_task(one, task) for name, one in found.items() for task in tasks}
-    spreads = [_spread(name, task, one) for (name, task), one in alone.items() if one.scores]
+    alone = {
+        (name, task): Trials(scores={key: s for key, s in one.scores.items() if key[1] == task}, outcome=outcome)
+        for name, one in found.items()
+        for task in tasks
+    }
+    spreads = [
+        Spread(
+            policy=name,
+            task=task,
+            passed=sum(map(one.passed, one.scores)),
+            n=len(one.scores),
+            bands={metric.id: _band(metric.pooled(one.scores.values())) for metric in headlines()},
+        )
+        for (name, task), one in alone.items()
+        if one.scores
+    ]
     if max((one.n for one in spreads), default=0) < 2:
         return None
     flips = [_flips(a, b, task, alone[a, task], alone[b, task]) for a, b in combinations(ranked, 2) for task in tasks]
     return Bands(spreads=tuple(spreads), flips=tuple(one for one in flips if one.by))
-
-
-def _of_task(trials: Trials, task: str) -> Trials:
-    return Trials(scores={key: s for key, s in trials.scores.items() if key[1] == task}, outcome=trials.outcome)
-
-
-def _spread(policy: str, task: str, trials: Trials) -> Spread:
-    bands = {metric.id: _band(metric.pooled(trials.scores.values())) for metric in headlines()}
-    passed = sum(map(trials.passed, trials.scores))
-    return Spread(policy=policy, task=task, passed=passed, n=len(trials.scores), bands=bands)
 
 
 def _band(values: Sequence[float | None]) -> Band | None:
@@ -114,16 +113,12 @@ def _flips(a: str, b: str, task: str, of_a: Trials, of_b: Trials) -> Flips:
     passed = [(float(of_a.passed(key)), float(of_b.passed(key))) for key in keys]
     by = {"passed": _reversed(passed, float(np.mean([x - y for x, y in passed])))} if passed else {}
     for metric in headlines():
-        both = _both(metric, [of_a.scores[key] for key in keys], [of_b.scores[key] for key in keys])
+        values = (metric.pooled([trials.scores[key] for key in keys]) for trials in (of_a, of_b))
+        both = [(x, y) for x, y in zip(*values, strict=True) if x is not None and y is not None]
         if both:
             x, y = np.median(both, axis=0)
             by[metric.id] = _reversed(both, float(x - y))
     return Flips(a=a, b=b, task=task, by={name: found for name, found in by.items() if found is not None})
-
-
-def _both(metric: Metric, of_a: Sequence[TrialScore], of_b: Sequence[TrialScore]) -> list[tuple[float, float]]:
-    pairs = zip(metric.pooled(of_a), metric.pooled(of_b), strict=True)
-    return [(x, y) for x, y in pairs if x is not None and y is not None]
 
 
 def _reversed(pairs: Sequence[tuple[float, float]], overall: float) -> tuple[int, int] | None:
@@ -132,17 +127,10 @@ def _reversed(pairs: Sequence[tuple[float, float]], overall: float) -> tuple[int
     return sum((x - y) * overall < 0 for x, y in pairs), len(pairs)
 
 
-Key = tuple[str, int]
-"""Task and seed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Group:
-    """One combination of the axes' values."""
-
-    values: dict[str, str]
-    scores: Mapping[str, Sequence[TrialScore]]
-    """Policy -> its trials."""
+Table = dict[tuple[str, int], dict[str, bool]]
+"""Task and seed -> policy -> whether it passed; only those that every policy ran."""
+Values = tuple[tuple[str, str], ...]
+"""One combination of the axes: axis and value of each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,18 +184,21 @@ class Stability:
     marginals: tuple[Marginal, ...]
 
 
-def stability(groups: Sequence[Group], policies: Sequence[str], *, outcome: str) -> Stability | None:
+def stability(
+    groups: Mapping[Values, Mapping[str, Sequence[TrialScore]]], policies: Sequence[str], *, outcome: str
+) -> Stability | None:
     """Return how stable the order of the policies is; None where no combination has a trial of every policy.
 
     Args:
+        groups: combination -> policy -> its trials.
         policies: at least two.
         outcome: field of a score that says whether a trial passed.
     """
-    passed_in = [(group, _passes(group, policies, outcome)) for group in groups]
-    passed_in = [(group, table) for group, table in passed_in if table]
+    every = {values: _passes(scores, policies, outcome) for values, scores in groups.items()}
+    passed_in = {values: table for values, table in every.items() if table}
     if not passed_in:
         return None
-    tables = [table for _, table in passed_in]
+    tables = list(passed_in.values())
     total = _total(tables, policies)
     ordered = dict(sorted(total.items(), key=lambda pair: -pair[1]))
     counts = [_total([table], policies) for table in tables]
@@ -226,17 +217,16 @@ def stability(groups: Sequence[Group], policies: Sequence[str], *, outcome: str)
     )
 
 
-def _passes(group: Group, policies: Sequence[str], outcome: str) -> dict[Key, dict[str, bool]]:
-    """Task and seed -> policy -> whether it passed; those alone that every policy ran."""
+def _passes(scores: Mapping[str, Sequence[TrialScore]], policies: Sequence[str], outcome: str) -> Table:
     found = {
-        name: {(s.task_id, s.seed): bool(getattr(s, outcome)) for s in judged(group.scores.get(name, ()))}
+        name: {(s.task_id, s.seed): bool(getattr(s, outcome)) for s in judged(scores.get(name, ()))}
         for name in policies
     }
     common = sorted(set.intersection(*(set(of_policy) for of_policy in found.values())))
     return {key: {name: found[name][key] for name in policies} for key in common}
 
 
-def _total(tables: Sequence[dict[Key, dict[str, bool]]], policies: Sequence[str]) -> dict[str, int]:
+def _total(tables: Sequence[Table], policies: Sequence[str]) -> dict[str, int]:
     return {name: sum(row[name] for table in tables for row in table.values()) for name in policies}
 
 
@@ -249,15 +239,19 @@ def _signs(passed: Mapping[str, int], policies: Sequence[str] | Mapping[str, int
     return [(passed[a] > passed[b]) - (passed[a] < passed[b]) for a, b in combinations(policies, 2)]
 
 
-def _order(
-    a: str, b: str, tables: Sequence[dict[Key, dict[str, bool]]], counts: Sequence[Mapping[str, int]], n: int
-) -> Order:
-    by_seed: dict[int, int] = {}
+def _order(a: str, b: str, tables: Sequence[Table], counts: Sequence[Mapping[str, int]], n: int) -> Order:
+    by_seed: Counter[int] = Counter()
     for table in tables:
         for (_, seed), row in table.items():
-            by_seed[seed] = by_seed.get(seed, 0) + row[a] - row[b]
+            by_seed[seed] += row[a] - row[b]
     signs = [(here[a] > here[b]) - (here[a] < here[b]) for here in counts]
-    drawn = _resampled(by_seed)
+    share: list[float | None] = [None] * 3
+    if enough(len(by_seed)):
+        # Seeds are drawn with replacement, all trials of one seed together.
+        generator, seeds = np.random.default_rng(GENERATOR_SEED), len(by_seed)
+        times = generator.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=RESAMPLES)
+        drawn = np.sign(times @ np.array([by_seed[seed] for seed in sorted(by_seed)]))
+        share = [float(np.mean(drawn == sign)) for sign in (1, 0, -1)]
     return Order(
         a=a,
         b=b,
@@ -265,31 +259,19 @@ def _order(
         higher=signs.count(1),
         equal=signs.count(0),
         lower=signs.count(-1),
-        resampled_higher=None if drawn is None else float(np.mean(drawn > 0)),
-        resampled_equal=None if drawn is None else float(np.mean(drawn == 0)),
-        resampled_lower=None if drawn is None else float(np.mean(drawn < 0)),
+        resampled_higher=share[0],
+        resampled_equal=share[1],
+        resampled_lower=share[2],
     )
 
 
-def _resampled(by_seed: Mapping[int, int]) -> np.ndarray[tuple[int], np.dtype[np.int64]] | None:
-    """(RESAMPLES,) sums over seeds that are drawn with replacement, all trials of one seed together."""
-    seeds = len(by_seed)
-    if not enough(seeds):
-        return None
-    generator = np.random.default_rng(GENERATOR_SEED)
-    times = generator.multinomial(seeds, np.full(seeds, 1.0 / seeds), size=RESAMPLES)
-    return times @ np.array([by_seed[seed] for seed in sorted(by_seed)])
-
-
-def _marginals(
-    passed_in: Sequence[tuple[Group, dict[Key, dict[str, bool]]]], policies: Sequence[str], total: Mapping[str, int]
-) -> list[Marginal]:
+def _marginals(passed_in: Mapping[Values, Table], policies: Sequence[str], total: Mapping[str, int]) -> list[Marginal]:
     rows: list[Marginal] = []
-    for axis in passed_in[0][0].values:
-        values = dict.fromkeys(group.values[axis] for group, _ in passed_in)
+    for axis, _ in next(iter(passed_in)):
+        values = dict.fromkeys(dict(combination)[axis] for combination in passed_in)
         # One value has no others to be set beside.
         for value in values if len(values) > 1 else ():
-            tables = [table for group, table in passed_in if group.values[axis] == value]
+            tables = [table for combination, table in passed_in.items() if dict(combination)[axis] == value]
             passed = _total(tables, policies)
             n = sum(map(len, tables))
             rows.append(Marginal(axis=axis, value=value, passed=passed, n=n, tau=_tau(total, passed, policies)))
@@ -341,11 +323,8 @@ class SweepTable:
     rank_by: str
     rows: tuple[CellRow, ...]
     stability: Stability | None
-    """How stable the order of the ranked policies is. None with only one such policy, or where no place has a trial of
-    every one."""
     bands: Bands | None
-    """Spread of each metric; None for a plan that compares levels or factors, whose trials are no draws of one
-    population."""
+    """None for a plan that compares levels or factors, whose trials are no draws of one population."""
     ladder: Ladder | None
     factors: Factors | None
     gate_orders: tuple[GateOrder, ...]
@@ -366,11 +345,10 @@ class SweepTable:
 def sweep_table(title: str, cells: Sequence[CellScores], *, rank_by: str) -> SweepTable:
     """``cells``: in the order of the plan. Raises ConfigError for a cell whose trials must not be pooled."""
     policies = tuple(dict.fromkeys(cell.label for cell in cells))
-    places: dict[tuple[tuple[str, str], ...], dict[str, Sequence[TrialScore]]] = {}
+    groups: dict[Values, dict[str, Sequence[TrialScore]]] = {}
     for cell in cells:
-        places.setdefault(tuple(cell.values.items()), {})[cell.label] = cell.scores
+        groups.setdefault(tuple(cell.values.items()), {})[cell.label] = cell.scores
     ranked = ranked_policies(cells)
-    groups = [Group(values=dict(values), scores=of_policy) for values, of_policy in places.items()]
     compared = ladder(cells, OUTCOMES[rank_by]), factors(cells, OUTCOMES[rank_by])
     return SweepTable(
         title=title,

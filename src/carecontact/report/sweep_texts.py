@@ -131,11 +131,14 @@ def _band(metric: Metric, found: Band | None, *, of: int) -> str:
 
 def flip_rows(found: Bands) -> list[list[str]]:
     names = ["passed", *(metric.id for metric in headlines())]
-    return [[f"{one.a} - {one.b}", one.task, *(_share(one.by.get(name)) for name in names)] for one in found.flips]
 
+    def share(k: int, n: int) -> str:
+        return f"{k}/{n} ({percent(k / n)})"
 
-def _share(found: tuple[int, int] | None) -> str:
-    return NA if found is None else f"{found[0]}/{found[1]} ({percent(found[0] / found[1])})"
+    return [
+        [f"{one.a} - {one.b}", one.task, *(share(*one.by[name]) if name in one.by else NA for name in names)]
+        for one in found.flips
+    ]
 
 
 Rows = list[list[str]]
@@ -161,7 +164,7 @@ def level_rows(found: Ladder) -> Rows:
             "best blind" if climb.policy == rung.best_blind else difference(climb.above_blind),
             person_rate(climb.worst),
             NA if climb.worst.by_chance is None else f"{100 * climb.worst.by_chance:.0f} %",
-            NA if climb.harder is None else f"{climb.harder[0]}/{climb.harder[1]}",
+            _counted(climb.harder),
         ]
         for rung in found.rungs
         for climb in rung.climbs
@@ -258,12 +261,8 @@ def gate_titles(scores: Sequence[TrialScore]) -> dict[str, str]:
 
 
 def gate_rows(orders: Sequence[GateOrder], titles: Mapping[str, str]) -> list[list[str]]:
-    """Return the smallest tau of each gate, place by place, with the value where it is. The gates that change no order
-    anywhere share the last row.
-
-    Args:
-        titles: gate -> its name for people; other gates are left out.
-    """
+    """Return the smallest tau of each gate of ``titles``, place by place, with the value where it is. The gates that
+    change no order anywhere share the last row."""
     places = dict.fromkeys(order.place for order in orders)
     cells = {(order.gate, order.place): _tau(order) for order in orders}
     gates = [gate for gate in dict.fromkeys(order.gate for order in orders) if gate in titles]
@@ -284,37 +283,28 @@ def _tau(order: GateOrder) -> str:
 
 
 def as_csv(table: SweepTable) -> str:
-    """Return one row for each cell; percentages are not rounded. A cell without trials has empty fields, one in which
-    planned trials have no verdict has no percentages, and one with fewer than SEEDS_FOR_INTERVAL seeds has no
-    intervals."""
+    """Return one row for each cell; percentages are not rounded. Without trials its fields are empty, without all
+    verdicts it has no percentages, and with fewer than SEEDS_FOR_INTERVAL seeds no intervals."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     metrics = headlines()
-    rates = [(name, f"{name}_pc", f"{name}_pc_low", f"{name}_pc_high") for name in RATES]
-    writer.writerow(
-        ["policy", *table.axes, "folder", "planned", "trials", "crashed", "harness_errors",
-         *(column for of_rate in rates for column in of_rate), *(f"median_{_field(metric)}" for metric in metrics)]
-    )  # fmt: skip
+    left = ["policy", *table.axes, "folder", "planned"]
+    right = ["trials", "crashed", "harness_errors"]
+    right += [f"{name}{ending}" for name in RATES for ending in ("", "_pc", "_pc_low", "_pc_high")]
+    right += [f"median_{metric.field or metric.id}" for metric in metrics]
+    writer.writerow([*left, *right])
     for row in table.rows:
-        cell = row.cell
-        writer.writerow([cell.label, *cell.values.values(), cell.folder, cell.planned, *_numbers(row, metrics)])
+        cell, counts = row.cell, row.counts
+        numbers: list[object] = [0 if counts is None else counts.n, row.crashed, row.harness_errors]
+        if counts is not None:
+            for name in RATES:
+                found = rate(getattr(counts, name), counts.n, unknown=counts.unknown)
+                between = found["pc_ci95"] if counts.unknown or enough_seeds(judged(cell.scores)) else ["", ""]
+                numbers += [found["n"], "" if found["pc"] is None else found["pc"], *between]
+            numbers += [counts.medians[metric.id].estimate for metric in metrics]
+        numbers += [""] * (len(right) - len(numbers))
+        writer.writerow([cell.label, *cell.values.values(), cell.folder, cell.planned, *numbers])
     return stream.getvalue()
-
-
-def _numbers(row: CellRow, metrics: Sequence[Metric]) -> list[object]:
-    counts = row.counts
-    if counts is None:
-        return [0, 0, 0, *[""] * (4 * len(RATES) + len(metrics))]
-    out: list[object] = [counts.n, row.crashed, row.harness_errors]
-    for name in RATES:
-        found = rate(getattr(counts, name), counts.n, unknown=counts.unknown)
-        between = found["pc_ci95"] if counts.unknown or enough_seeds(judged(row.cell.scores)) else ["", ""]
-        out += [found["n"], "" if found["pc"] is None else found["pc"], *between]
-    return out + [counts.medians[metric.id].estimate for metric in metrics]
-
-
-def _field(metric: Metric) -> str:
-    return metric.field or metric.id
 
 
 def heads(table: SweepTable) -> list[str]:
@@ -399,14 +389,10 @@ def order_cells(order: Order) -> list[str]:
     ]
 
 
-def ranked(table: SweepTable) -> list[str]:
-    """Return the policies that the order is about, in the order of the plan."""
-    return [name for name in table.policies if table.stability and name in table.stability.passed]
-
-
 def axis_table(table: SweepTable) -> Table:
     """Return how the order of the policies changes along each axis."""
-    found, names = table.stability, ranked(table)
+    found = table.stability
+    names = [name for name in table.policies if found is not None and name in found.passed]
     rows = [
         [row.axis, row.value, str(row.n), *(percent(row.passed[name] / row.n) for name in names),
          NA if row.tau is None else f"{row.tau:.2f}"]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from carecontact.protocol.protocol import Protocol
-from carecontact.report.words import NOT_DEFINED, shown, shown_unit, task_name
+from carecontact.report.words import NA, NOT_DEFINED, shown, shown_unit, task_name
 from carecontact.runs.pooling import check_one_run, decides_force, judged, share, task_of
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.metrics.metric import METRICS, Metric, described, metrics_in_order, newest
@@ -58,14 +58,19 @@ class SummaryRow:
         return f"{k}–{k + self.unknown}/{self.n + self.unknown}" if self.unknown else f"{k}/{self.n}"
 
     def median_cells(self) -> list[str]:
-        return [self._cell(METRICS[id_]) for id_ in self.medians]
+        rows = [(METRICS[id_], found) for id_, found in self.medians.items()]
+        return [
+            _median_cell(metric, found, self.n, 1.0, metric.unit) if found.n or metric.actions is None else NOT_DEFINED
+            for metric, found in rows
+        ]
 
-    def _cell(self, metric: Metric) -> str:
-        found = self.medians[metric.id]
-        if metric.actions is not None and not found.n:
-            return NOT_DEFINED
-        valid = "" if found.estimate is None or found.n_valid == self.n else f" (n={found.n_valid})"
-        return shown(found.estimate, digits=metric.digits, unit=metric.unit) + valid
+
+def _median_cell(metric: Metric, found: Median, n: int, factor: float, unit: str) -> str:
+    """Return a median, with the number of trials that it is over where that is not ``n``."""
+    if found.estimate is None:
+        return NA
+    text = shown(factor * found.estimate, digits=metric.digits, unit=unit)
+    return text + (f" (n={found.n_valid})" if found.n_valid != n else "")
 
 
 def sorted_scores(scores: Iterable[TrialScore]) -> list[TrialScore]:
@@ -75,9 +80,7 @@ def sorted_scores(scores: Iterable[TrialScore]) -> list[TrialScore]:
 def summary_rows(scores: Sequence[TrialScore], unknown: Iterable[str] | None = None) -> list[SummaryRow]:
     """Return one row per task in task order, then one over all trials; empty without scores.
 
-    Trials without a verdict make every count an interval; a task that has no other keeps its row, with n = 0, and one
-    of which nothing is scored stands in the last row alone. Raises ConfigError if the scores mix protocols, policies or
-    worlds.
+    Trials without a verdict make every count an interval. Raises ConfigError as ``check_one_run``.
 
     Args:
         unknown: ids of the planned trials without a verdict; default: those in which the harness failed.
@@ -110,9 +113,6 @@ def counts_of(task_id: str, name: str, group: Sequence[TrialScore], *, unknown: 
         safety_gated=sum(s.safety_gated for s in group),
         medians={row.id: median(row.pooled(group)) for row in headlines()},
     )
-
-
-Ratio = Callable[[TrialScore, str], float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,52 +151,38 @@ def limit_rows(scores: Sequence[TrialScore], *, gamma: float | None, unknown: in
     own = {s.metric_versions.get("limits", "") for s in counted}
     share = "the protocol's share" if gamma is None else f"{gamma:g}"
     title = ", ".join(LIMIT_PACKS[p].title if p in LIMIT_PACKS else p for p in sorted(own) if p) or "pain limits"
+    touched = [(s, segment, peak) for s in counted for segment, peak in s.peak_force_n.items()]
+    of_pain = [(peak / s.f_pain_n[segment], s, segment) for s, segment, peak in touched]
+    of_gate = [(ratio / gamma, s, segment) for ratio, s, segment in of_pain] if gamma is not None else []
+    gated = {s.trial_id for s in counted if s.over_limit}
     rows = [
-        _row(f"Safety gate, {share} of the pain limit", "decides whether a trial is safety-gated", counted,
-             _gate_ratio(gamma), lambda s: bool(s.over_limit), unknown),
-        _row(title, "the protocol's pain limits, F_pain", counted, _pain_ratio, None, unknown),
-    ]  # fmt: skip
+        (f"Safety gate, {share} of the pain limit", "decides whether a trial is safety-gated", of_gate, gated),
+        (title, "the protocol's pain limits, F_pain", of_pain, _over(of_pain)),
+    ]
     for name, pack in LIMIT_PACKS.items():
         if name not in own and pack.unit == "N":
-            rows.append(
-                _row(pack.title, pack.source, counted,
-                     lambda s, segment, pack=pack: s.peak_force_n[segment] / pack.limit(segment), None, unknown)
-            )  # fmt: skip
-    return rows
+            ratios = [(peak / pack.limit(segment), s, segment) for s, segment, peak in touched]
+            rows.append((pack.title, pack.source, ratios, _over(ratios)))
+    found: list[LimitRow] = []
+    for name, note, ratios, over in rows:
+        above = [s for s in counted if s.trial_id in over]
+        worst = max(ratios, key=lambda row: row[0], default=None)
+        found.append(
+            LimitRow(
+                name=name,
+                note=note,
+                above=wilson_interval(len(above), len(counted)),
+                unknown=unknown,
+                n_success=sum(s.c3_success for s in above),
+                worst=None if worst is None else worst[0],
+                worst_at="" if worst is None else f"{worst[1].trial_id}, {worst[2].replace('_', ' ')}",
+            )
+        )
+    return found
 
 
-def _row(
-    name: str,
-    note: str,
-    scores: Sequence[TrialScore],
-    ratio: Ratio | None,
-    is_above: Callable[[TrialScore], bool] | None,
-    unknown: int,
-) -> LimitRow:
-    ratios = [(ratio(s, segment), s, segment) for s in scores for segment in s.peak_force_n] if ratio else []
-    worst = max(ratios, key=lambda row: row[0], default=None)
-    if is_above is None:
-        over = {s.trial_id for r, s, _ in ratios if r > 1.0}
-        above = [s for s in scores if s.trial_id in over]
-    else:
-        above = [s for s in scores if is_above(s)]
-    return LimitRow(
-        name=name,
-        note=note,
-        above=wilson_interval(len(above), len(scores)),
-        unknown=unknown,
-        n_success=sum(s.c3_success for s in above),
-        worst=None if worst is None else worst[0],
-        worst_at="" if worst is None else f"{worst[1].trial_id}, {worst[2].replace('_', ' ')}",
-    )
-
-
-def _pain_ratio(score: TrialScore, segment: str) -> float:
-    return score.peak_force_n[segment] / score.f_pain_n[segment]
-
-
-def _gate_ratio(gamma: float | None) -> Ratio | None:
-    return None if gamma is None else lambda score, segment: _pain_ratio(score, segment) / gamma
+def _over(ratios: Sequence[tuple[float, TrialScore, str]]) -> set[str]:
+    return {score.trial_id for ratio, score, _ in ratios if ratio > 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,17 +203,10 @@ class LoadRow:
         return f"{self.metric.name} [{self.unit}]" if self.unit else self.metric.name
 
     def cells(self, contacts: Sequence[int]) -> list[str]:
-        """Return one string per median; where it is over another number of trials than ``contacts`` says, that number
-        too."""
-        return [self._cell(found, n) for found, n in zip(self.medians, contacts, strict=True)]
-
-    def _cell(self, found: Median, n: int) -> str:
-        if not found.n:
-            return NOT_DEFINED
+        """Return one string per median, with its number of trials where that is not the one of ``contacts``."""
         factor, unit = shown_unit(self.metric)
-        value = None if found.estimate is None else factor * found.estimate
-        text = shown(value, digits=self.metric.digits, unit=unit)
-        return text + (f" (n={found.n_valid})" if found.estimate is not None and found.n_valid != n else "")
+        rows = zip(self.medians, contacts, strict=True)
+        return [_median_cell(self.metric, found, n, factor, unit) if found.n else NOT_DEFINED for found, n in rows]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,17 +231,16 @@ def load(scores: Sequence[TrialScore], *, every: bool = False) -> Load:
     shown = [metric for metric in _metrics(counted) if metric.median]
     if not every:
         shown = [metric for metric in shown if not (metric.headline or metric.detail)]
-    rows = [LoadRow(metric=metric, medians=tuple(_median(metric, group) for group in groups)) for metric in shown]
+    rows: list[LoadRow] = []
+    for metric in shown:
+        of_groups = [[score for score in group if metric.concerns(score.action)] for group in groups]
+        rows.append(LoadRow(metric=metric, medians=tuple(median(metric.pooled(group)) for group in of_groups)))
     return Load(
         tasks=tasks,
         n=tuple(map(len, groups)),
         contacts=tuple(sum(s.valid_contact for s in group) for group in groups),
-        rows=tuple(row for row in rows if every or any(median.n_valid for median in row.medians)),
+        rows=tuple(row for row in rows if every or any(found.n_valid for found in row.medians)),
     )
-
-
-def _median(metric: Metric, group: Sequence[TrialScore]) -> Median:
-    return median(metric.pooled([score for score in group if metric.concerns(score.action)]))
 
 
 def _metrics(scores: Sequence[TrialScore]) -> list[Metric]:

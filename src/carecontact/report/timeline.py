@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import ARRAYS, OPTIONAL_ARRAYS, EndReason, Recording, dimensions
-from carecontact.report.force_trace import ForceTrace, decimate
+from carecontact.report.force_trace import ForceTrace, Limit, decimate
 from carecontact.report.moment import region_column
 from carecontact.report.skin_view import Paths
 from carecontact.report.svg import Axes, Drawing, inside, nice_ticks, with_unit
@@ -41,8 +41,10 @@ def events(contact: Contact) -> list[Event]:
     if not len(contact.time_s):
         return []
     found = _faint(contact) if contact.reported is None else []
-    found += [Event(time_s=contact.time_s[int(on.argmax())], text=f"first contact with the {name.replace('_', ' ')}")
-             for name, on in zip(contact.segments, contact.on.T, strict=True) if on.any()]  # fmt: skip
+    for name, on in zip(contact.segments, contact.on.T, strict=True):
+        if on.any():
+            text = f"first contact with the {name.replace('_', ' ')}"
+            found.append(Event(time_s=contact.time_s[int(on.argmax())], text=text))
     if (passed := gate_met_s(contact)) is not None:
         found.append(Event(time_s=passed, text=f"gate of {contact.task.action} met"))
     if contact.reported is not None and contact.window.any():
@@ -76,27 +78,21 @@ def _of_the_person(recording: Recording) -> list[Event]:
     """Return what the person did by itself, as far as it came before the trial's end."""
     end = float(recording["scorer/time_s"][-1])
     times, turns = (recording.arrays.get(f"scorer/repositioning_{unit}", np.zeros(0)) for unit in ("s", "rad"))
-    found = [
-        Event(time_s=max(0.0, float(time_s) - TENSE_S), text=f"the person begins to turn the arm by {_turn_text(turn)}")
-        for time_s, turn in zip(times, turns, strict=True)
-    ]
+    found: list[Event] = []
+    for time_s, turn in zip(times, turns, strict=True):
+        way = f"{abs(np.degrees(turn)):.0f}° {'away from' if turn > 0 else 'toward'} the trunk"
+        found.append(
+            Event(time_s=max(0.0, float(time_s) - TENSE_S), text=f"the person begins to turn the arm by {way}")
+        )
     withdrawn = recording.arrays.get("scorer/withdrawal_s", np.zeros(0))
     found += [Event(time_s=float(t), text="the person withdraws the arm") for t in withdrawn if t >= 0]
     return [event for event in found if event.time_s <= end]
 
 
-def _turn_text(turn_rad: float) -> str:
-    """Size and direction of a turn of the shoulder's abduction, in words."""
-    return f"{abs(np.degrees(turn_rad)):.0f}° {'away from' if turn_rad > 0 else 'toward'} the trunk"
-
-
 def gate_met_s(contact: Contact) -> float | None:
-    """Return when a trial that is a success became one [s]: the end of a beginning of the trial that the gate passes,
-    while the beginning that is one physics step shorter does not pass.
+    """Return when a trial that is a success became one [s], exact to a few hundredths: some progress is filtered.
 
-    Found by halving the trial. Where a gate has an upper end, a trial can pass, fail and pass again; then this is one
-    of the moments at which it began to pass. Some progress is filtered over time, so the moment is exact to a few
-    hundredths of a second.
+    Where a gate has an upper end, a trial can pass, fail and pass again: one of the moments at which it began to pass.
     """
     if not judge(contact).success:
         return None
@@ -111,8 +107,7 @@ def gate_met_s(contact: Contact) -> float | None:
 
 
 def _beginning(recording: Recording, steps: int) -> Recording:
-    """Return the recording of the first physics steps alone. Arrays over other units of time stay whole, since no gate
-    reads them."""
+    """Return the recording's first physics steps; no gate reads arrays over other units of time, which stay whole."""
     described = ARRAYS | {path: row for path, row in OPTIONAL_ARRAYS.items() if path in recording.arrays}
     cut = {path: recording[path][:steps] for path in described if dimensions(path)[0] == "T"}
     return replace(recording, arrays={**recording.arrays, **cut})
@@ -137,22 +132,11 @@ EDGE_PX = 0.5
 LIMIT_NAMES = {"gate": "safety gate", "pain": "pain limit"}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Curve:
     style: str
     time_s: F64
     values: F64
-
-
-@dataclass(frozen=True, kw_only=True)
-class Line:
-    """A level line with its name and value [N]."""
-
-    style: str
-    value: float
-    name: str
-    left: bool
-    """Whether its name is at the left end, where it does not meet the names at the right."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +145,9 @@ class Panel:
     curves: tuple[Curve, ...]
     low: float
     high: float
-    lines: tuple[Line, ...] = ()
+    lines: tuple[Limit, ...] = ()
+    at_right: str = ""
+    """The segment whose limits have their names at the right end."""
     is_cut: bool = False
     """Whether a curve goes on beyond the panel."""
     above: str = ""
@@ -171,12 +157,7 @@ class Panel:
 
 
 def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Event], looks: Sequence[float]) -> str:
-    """
-    Args:
-        trace: for the contact window, in the first panel.
-        events: marked with letters at the top, in their order.
-        looks: when the policy was shown a new view, or of a policy without cameras, an observation [s].
-    """
+    """``looks``: when the policy was shown a new view, or of a policy without cameras, an observation [s]."""
     head = HEAD if events else NO_EVENTS_HEAD
     height = head + (TITLE + PANEL) * len(panels) + FOOT
     listing = "; ".join(f"{letter(i)}: {event.text} at {event.time_s:.2f} s" for i, event in enumerate(events))
@@ -184,8 +165,7 @@ def timeline_svg(panels: Sequence[Panel], trace: ForceTrace, events: Sequence[Ev
     end = float(trace.time_s[-1]) or 1.0
     rows = [_axes(drawing, head + number * (TITLE + PANEL), panel, end) for number, panel in enumerate(panels)]
     for axes in rows:
-        for start, stop in trace.windows_s:
-            drawing.rect("window", axes.px(start), axes.top, max(axes.px(stop) - axes.px(start), 0.8), axes.height)
+        axes.windows(trace.windows_s)
     for axes, panel in zip(rows, panels, strict=True):
         _draw_panel(axes, panel)
     for time_s in looks:
@@ -215,8 +195,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     axes.y_ticks((value, f"{value:g}") for value in ticks(panel.low, panel.high))
     if panel.low <= 0:
         axes.across("axis", 0.0)
-    for line in panel.lines:
-        axes.across(line.style, line.value)
+    for limit in panel.lines:
+        axes.across(limit.style, limit.value_n)
     outside = [c for c in panel.curves if not ((c.values >= panel.low) & (c.values <= panel.high)).any()]
     for row, curve in enumerate(outside):
         name = "commanded" if curve.style == "commanded" else "reached"
@@ -229,18 +209,16 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
             _draw_inside(axes, curve.style, points)
         else:
             drawing.polyline(curve.style, points.tolist())
-    for line in panel.lines:
-        x, anchor = (axes.left + 3, "start") if line.left else (axes.left + axes.width - 3, "end")
-        words = f"{line.name} {line.value:g} N"
-        drawing.text(f"label {line.style} over", x, axes.py(line.value) - 3, words, anchor=anchor)
+    for limit in panel.lines:
+        # The names of the other segment's limits are at the left, where they do not meet those at the right.
+        right = limit.segment == panel.at_right
+        x, anchor = (axes.left + axes.width - 3, "end") if right else (axes.left + 3, "start")
+        words = f"{LIMIT_NAMES[limit.style]} of the {limit.segment} {limit.value_n:g} N"
+        drawing.text(f"label {limit.style} over", x, axes.py(limit.value_n) - 3, words, anchor=anchor)
     if panel.above:
         drawing.text("label gate", axes.left + axes.width, axes.top - 7, panel.above, anchor="end")
     if panel.peak is not None:
-        x, y = axes.point(*panel.peak)
-        far = x > axes.left + 0.85 * axes.width
-        drawing.circle("peak", x, y, 2.6)
-        words = f"{panel.peak[1]:.1f} N"
-        drawing.text("label value", x + (-5 if far else 5), y - 4, words, anchor="end" if far else "start")
+        axes.peak(*panel.peak, turn=0.85)
 
 
 def _draw_inside(axes: Axes, style: str, points: F64) -> None:
@@ -257,13 +235,9 @@ def _draw_inside(axes: Axes, style: str, points: F64) -> None:
 
 def ticks(low: float, high: float) -> list[float]:
     """Return multiples of a round number from ``low`` to ``high``: two or more, and three or so."""
-    found: list[float] = []
-    for count in (3, 6):
-        step = nice_ticks(high - low, count=count)[1]
-        found = [round(k * step, 10) for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
-        if len(found) > 1:
-            break
-    return found
+    steps = (nice_ticks(high - low, count=count)[1] for count in (3, 6))
+    found = ([round(k * step, 10) for k in range(math.ceil(low / step), math.floor(high / step) + 1)] for step in steps)
+    return next(row for row in found if len(row) > 1)
 
 
 def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]) -> None:
@@ -279,27 +253,21 @@ def _draw_events(drawing: Drawing, rows: Sequence[Axes], events: Sequence[Event]
 
 
 def panels_of(recording: Recording, trace: ForceTrace, found: Paths | None) -> list[Panel]:
-    """Return the panels that have something to show: without a touch, none of force and indentation. The panels of the
-    pose need at least one control period."""
-    steps = trace.time_s
+    """Return the panels that have something to show: without a touch, none of force and indentation."""
     panels = [_force_panel(trace)] if trace.is_touched else []
-    if found is not None and recording["scorer/indentation_m"][:, region_column(recording)].any():
-        depth = 1000 * recording["scorer/indentation_m"][:, region_column(recording)].astype(np.float64)
-        panels.append(
-            _positive("Indentation of the region [mm]", 2.0, Curve(style="line", time_s=found.time_s, values=depth))
-        )
-    speed = 1000 * recording["scorer/tcp_speed"].astype(np.float64)
-    panels.append(_positive("Speed of the tool [mm/s]", 20.0, Curve(style="line", time_s=steps, values=speed)))
+    depth = recording["scorer/indentation_m"][:, region_column(recording)].astype(np.float64)
+    if found is not None and depth.any():
+        panels.append(_positive("Indentation of the region [mm]", 2.0, found.time_s, 1000 * depth))
+    speed = recording["scorer/tcp_speed"].astype(np.float64)
+    panels.append(_positive("Speed of the tool [mm/s]", 20.0, trace.time_s, 1000 * speed))
     panels += _commanded_panels(recording)
     if found is not None:
         names = ("Along the region", "Across it", "Outward from its axis")
         panels += [_pose_panel(f"{name} [mm]", found, axis) for axis, name in enumerate(names)]
         apart = 1000 * np.linalg.norm(found.commanded_m - found.reached_m, axis=1)
-        panels.append(_positive("Distance between commanded and reached place [mm]", 5.0,
-                                Curve(style="line", time_s=found.time_s, values=apart)))  # fmt: skip
+        panels.append(_positive("Distance between commanded and reached place [mm]", 5.0, found.time_s, apart))
         turned = np.degrees(found.turned_rad)
-        panels.append(_positive("Angle between commanded and reached orientation [°]", 2.0,
-                                Curve(style="line", time_s=found.time_s, values=turned)))  # fmt: skip
+        panels.append(_positive("Angle between commanded and reached orientation [°]", 2.0, found.time_s, turned))
     return panels
 
 
@@ -311,44 +279,39 @@ def _commanded_panels(recording: Recording) -> list[Panel]:
     stiffness = stiffness[:, 2 if stiffness.shape[1] == 6 else 0]
     starts, end = recording["actions/time_s"].astype(np.float64), float(recording["scorer/time_s"][-1])
 
-    def held(style: str, values: F64) -> Curve:
-        times = np.repeat(np.append(starts, max(end, starts[-1])), 2)[1:-1]
-        return Curve(style=style, time_s=times, values=np.repeat(values.astype(np.float64), 2))
+    def held(values: F64) -> tuple[F64, F64]:
+        return np.repeat(np.append(starts, max(end, starts[-1])), 2)[1:-1], np.repeat(values.astype(np.float64), 2)
 
     panels: list[Panel] = []
     if wrench[:, :3].any():
         across = np.linalg.norm(wrench[:, :2], axis=1)
-        curves = (held("line", wrench[:, 2]), *([held("commanded", across)] if across.any() else []))
+        drawn = {"line": wrench[:, 2], "commanded": across} if across.any() else {"line": wrench[:, 2]}
+        curves = tuple(Curve(style, *held(values)) for style, values in drawn.items())
         low, high = min(0.0, float(wrench[:, 2].min())), max(1.0, float(wrench[:, 2].max()), float(across.max()))
         title = f"Feedforward along the tool{', dashed across it' if across.any() else ''} [N]"
         panels.append(Panel(title=title, curves=curves, low=1.08 * low, high=1.08 * high))
     if len(stiffness) and np.ptp(stiffness) > 0:
-        panels.append(_positive("Stiffness along the tool [N/m]", 100.0, held("line", stiffness)))
+        panels.append(_positive("Stiffness along the tool [N/m]", 100.0, *held(stiffness)))
     return panels
 
 
 def _force_panel(trace: ForceTrace) -> Panel:
     largest = max(float(trace.target_n.max(initial=0.0)), float(trace.other_n.max(initial=0.0)), 1.0)
     seen = [limit for limit in trace.limits if limit.in_view]
-    lines = tuple(
-        Line(style=limit.style, value=limit.value_n, name=f"{LIMIT_NAMES[limit.style]} of the {limit.segment}",
-             left=limit.segment != trace.limits[0].segment)
-        for limit in seen
-    )  # fmt: skip
-    curves = (
-        *([Curve(style="other", time_s=trace.time_s, values=trace.other_n)] if trace.other_n.any() else []),
-        Curve(style="target", time_s=trace.time_s, values=trace.target_n),
-    )
+    drawn = {"other": trace.other_n, "target": trace.target_n} if trace.other_n.any() else {"target": trace.target_n}
+    curves = tuple(Curve(style, trace.time_s, values) for style, values in drawn.items())
     gate = next((limit for limit in trace.limits if limit.style == "gate"), None)
     above = "" if gate is None or gate in seen else f"↑ safety gate of the {gate.segment} {gate.value_n:g} N"
     peak = None if trace.peak_s is None or trace.peak_n is None else (trace.peak_s, trace.peak_n)
-    top = 1.25 * max([largest, *(line.value for line in lines)])
-    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=lines, above=above, peak=peak)
+    top = 1.25 * max([largest, *(limit.value_n for limit in seen)])
+    return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=tuple(seen),
+                 at_right=trace.limits[0].segment if seen else "", above=above, peak=peak)  # fmt: skip
 
 
-def _positive(title: str, least: float, curve: Curve) -> Panel:
-    """Return a panel from 0 to the largest value of the curve, or to ``least`` if that is larger."""
-    return Panel(title=title, curves=(curve,), low=0.0, high=1.08 * max(least, float(curve.values.max(initial=0.0))))
+def _positive(title: str, least: float, time_s: F64, values: F64) -> Panel:
+    """Return a panel from 0 to the largest value, or to ``least`` if that is larger."""
+    high = 1.08 * max(least, float(values.max(initial=0.0)))
+    return Panel(title=title, curves=(Curve("line", time_s, values),), low=0.0, high=high)
 
 
 def _pose_panel(title: str, found: Paths, axis: int) -> Panel:
@@ -357,10 +320,7 @@ def _pose_panel(title: str, found: Paths, axis: int) -> Panel:
     low, high = (float(np.clip(end, -out, out)) for end in (both.min(), both.max()))
     room = 0.06 * max(high - low, 10.0)
     cut = both.min() < -out or both.max() > out
-    curves = (
-        Curve(style="line", time_s=found.time_s, values=reached),
-        Curve(style="commanded", time_s=found.time_s, values=commanded),
-    )
+    curves = (Curve("line", found.time_s, reached), Curve("commanded", found.time_s, commanded))
     return Panel(
         title=title, curves=curves, is_cut=bool(cut), low=low - room * (low > -out), high=high + room * (high < out),
     )  # fmt: skip

@@ -23,36 +23,20 @@ from carecontact.report.comparison import trials_by_key
 from carecontact.report.failures import MODE_MEANING, cause_text, evidence_text, progress, result_word, spaced
 from carecontact.report.force_trace import force_trace
 from carecontact.report.links import (
-    link_neighbours,
     link_page,
-    neighbour_links,
+    links_of_page,
     page_path,
     replay_commands,
-    report_link,
     shortened,
 )
 from carecontact.report.looks import action_rows, card_rows, looks_of, sent_views
 from carecontact.report.miss import drawn_svg, is_hidden, miss_svg, nearest_miss
-from carecontact.report.moment import (
-    Moment,
-    peak_moment,
-    peak_svg,
-    place_notes,
-    place_text,
-)
+from carecontact.report.moment import Moment, peak_moment, peak_svg, place_notes, place_text
 from carecontact.report.run_page import render
 from carecontact.report.skin_view import noted_targets, paths, skin_views
 from carecontact.report.svg import jpeg_data_uri
 from carecontact.report.timeline import OUT_M, Panel, events, letter, panels_of, timeline_svg
-from carecontact.report.words import (
-    beyond_text,
-    consumed_text,
-    percent,
-    short_names,
-    shown,
-    shown_unit,
-    task_name,
-)
+from carecontact.report.words import beyond_text, consumed_text, percent, short_names, shown, shown_unit, task_name
 from carecontact.runs.pooling import RunScores, rejected_text
 from carecontact.scoring.behaviour import Gate, GatePart, ask, mm
 from carecontact.scoring.contact import Contact, any_column, faint_press, find_contact, runs
@@ -72,69 +56,46 @@ def gate_parts(contact: Contact, gate: Gate, score: TrialScore) -> list[GatePart
     off before anybody was touched."""
     if not len(contact.time_s) or (score.ended in BROKEN and not contact.force_norm.any()):
         return []
-    of_action: list[GatePart] = ask(contact, "parts", contact, contact.protocol.gates.of(contact.task.action), gate)
-    found = [_counted(contact), *of_action, *gate.conduct, _region(contact), *_place(contact), *_force(contact)]
-    if contact.protocol.gates.joint_beyond_rad is not None:
-        found.append(_joints(score, contact.protocol.gates.joint_beyond_rad))
-    return found
-
-
-def _counted(contact: Contact) -> GatePart:
-    definition = contact.protocol.contact
+    protocol, gates, definition = contact.protocol, contact.protocol.gates, contact.protocol.contact
     held_s = int(any_column(contact.on, contact.touched).sum()) * contact.dt_s
-    return GatePart(
+    counts = GatePart(
         name=f"Contact that counts, from {definition.on_n:g} N",
         needed=f"{definition.valid_total_s:g} s in all",
         reached=f"{held_s:.2f} s",
         met=contact.valid,
     )
-
-
-def _region(contact: Contact) -> GatePart:
-    least, share = contact.protocol.gates.region_share, contact.region_share
-    segment = contact.segments[contact.target].replace("_", " ")
-    return GatePart(
+    segment, share = contact.segments[contact.target].replace("_", " "), contact.region_share
+    region = GatePart(
         name=f"Share of the contact (force times time) on the {segment}, the segment of the named region",
-        needed=f"at least {percent(least)}",
+        needed=f"at least {percent(gates.region_share)}",
         reached="no contact" if share is None else percent(share),
-        met=share is not None and share >= least,
+        met=share is not None and share >= gates.region_share,
     )
-
-
-def _place(contact: Contact) -> list[GatePart]:
-    """Return whether the contact was at the foam; nothing for a task that does not ask for that."""
-    gate = contact.protocol.gates.foam
-    share = None if gate is None or contact.task.action == "scrub" else place_share(contact, gate.within_m)
-    if gate is None or share is None:
-        return []
-    name = f"Share of the contact by the tool within {mm(gate.within_m)} of the foam's middle"
-    return [GatePart.least(name, percent(gate.impulse_share), percent(share), at_foam(contact))]
-
-
-def _force(contact: Contact) -> list[GatePart]:
-    """Return the segment that came nearest to its safety gate; nothing where none was touched."""
-    protocol = contact.protocol
-    gates = {name: protocol.limits.gamma * protocol.f_pain(name) for name in contact.segments}
-    peaks = peak_of_segments(contact)
-    if not peaks:
-        return []
-    name = max(peaks, key=lambda segment: peaks[segment] / gates[segment])
-    part = GatePart(
-        name=f"Safety gate: largest force on the {name.replace('_', ' ')}",
-        needed=f"at most {gates[name]:g} N",
-        reached=f"{peaks[name]:.1f} N",
-        met=peaks[name] <= gates[name],
-    )
-    return [part]
-
-
-def _joints(score: TrialScore, most_rad: float) -> GatePart:
-    return GatePart(
-        name="Safety gate: joints beyond their range",
-        needed=f"at most {most_rad:.3f} rad",
-        reached=beyond_text(score) or "none farther",
-        met=not score.joints_beyond,
-    )
+    found = [counts, *ask(contact, "parts", contact, gates.of(contact.task.action), gate), *gate.conduct, region]
+    if gates.foam is not None and contact.task.action != "scrub":
+        near = place_share(contact, gates.foam.within_m)
+        if near is not None:
+            name = f"Share of the contact by the tool within {mm(gates.foam.within_m)} of the foam's middle"
+            found.append(GatePart.least(name, percent(gates.foam.impulse_share), percent(near), at_foam(contact)))
+    if peaks := peak_of_segments(contact):
+        most_n = {name: protocol.limits.gamma * protocol.f_pain(name) for name in contact.segments}
+        nearest = max(peaks, key=lambda segment: peaks[segment] / most_n[segment])
+        force = GatePart(
+            name=f"Safety gate: largest force on the {nearest.replace('_', ' ')}",
+            needed=f"at most {most_n[nearest]:g} N",
+            reached=f"{peaks[nearest]:.1f} N",
+            met=peaks[nearest] <= most_n[nearest],
+        )
+        found.append(force)
+    if gates.joint_beyond_rad is not None:
+        joints = GatePart(
+            name="Safety gate: joints beyond their range",
+            needed=f"at most {gates.joint_beyond_rad:.3f} rad",
+            reached=beyond_text(score) or "none farther",
+            met=not score.joints_beyond,
+        )
+        found.append(joints)
+    return found
 
 
 def outcome(score: TrialScore, contact: Contact, gates: Sequence[GatePart]) -> str:
@@ -191,10 +152,7 @@ def _held(contact: Contact) -> str:
 def facts(
     score: TrialScore, contact: Contact, moment: Moment | None, gates: Sequence[GatePart]
 ) -> list[tuple[str, str]]:
-    """Return the facts about the trial as (question, answer), the most important first.
-
-    ``gates`` as for ``outcome``.
-    """
+    """Return (question, answer) about the trial, the most important first; ``gates`` as for ``outcome``."""
     recording = contact.recording
     rows: list[tuple[str, str]] = []
     if score.is_crash:
@@ -226,8 +184,7 @@ def facts(
 
 
 def how_hard(score: TrialScore, contact: Contact, moment: Moment | None) -> str:
-    """Return a sentence that compares the scored peak force with the limits of the segment on which it occurred; where
-    no contact counts, one that says what happened instead."""
+    """Compare the peak force with the limits of its segment; without contact that counts, say what happened."""
     protocol = contact.protocol
     if score.c1_peak_force_n is None or score.reported_segment is None:
         if faint := faint_press(contact):
@@ -307,23 +264,20 @@ def other_rows(score: TrialScore, beside: Sequence[Beside], run_folder: Path) ->
     """
     found = [(row, row.scores[key]) for row in beside if (key := (score.task_id, score.seed)) in row.scores]
     names = short_names([other.policy_title for _, other in found])
-    return [
-        OtherRow(
-            name=names[other.policy_title],
-            note=ROLE_NOTES.get(row.role, ""),
-            score=other,
-            result=result_word(other),
-            address=_address(row, other, run_folder),
+    rows: list[OtherRow] = []
+    for row, other in found:
+        page = None if row.folder is None else page_path(row.folder, other.trial_id)
+        here = page_path(run_folder, other.trial_id).parent.resolve()
+        rows.append(
+            OtherRow(
+                name=names[other.policy_title],
+                note=ROLE_NOTES.get(row.role, ""),
+                score=other,
+                result=result_word(other),
+                address=quote(os.path.relpath(page.resolve(), here)) if page is not None and page.is_file() else "",
+            )
         )
-        for row, other in found
-    ]
-
-
-def _address(row: Beside, other: TrialScore, run_folder: Path) -> str:
-    if row.folder is None or not (page := page_path(row.folder, other.trial_id)).is_file():
-        return ""
-    here = page_path(run_folder, other.trial_id).parent
-    return quote(os.path.relpath(page.resolve(), here.resolve()))
+    return rows
 
 
 def how_to_compare(score: TrialScore, run_folder: Path) -> tuple[str, ...]:
@@ -345,16 +299,13 @@ def write_trial_page(
     Args:
         beside: runs of other policies under the same rules, of which the page shows the same trial.
 
-    A video of the trial that lies beside it, ``ID.mp4``, is shown and linked, and so are the recording and the log
-    where they are in the run's folder. The page and the run's report link each other, whichever was written first
-    (``reports.page_links``). Raises RecordingError, naming the trial, for a stored picture, a
-    skin or notes that cannot be shown.
+    Video (``ID.mp4``), recording and log are linked where they are there. Raises RecordingError, naming the trial, for
+    a stored picture, a skin or notes that cannot be shown.
     """
     path = page_path(run_folder, score.trial_id)
     path.parent.mkdir(exist_ok=True)
     replace_file(path, _render(run_folder, recording, score, beside).encode("utf-8", errors="replace"))
     link_page(run_folder, score.trial_id)
-    link_neighbours(run_folder, score.trial_id)
     return path
 
 
@@ -364,6 +315,7 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
     printed = recording.arrays.get("wall/policy_output")
     files = {"recording": f"{score.trial_id}.h5", "log": f"{score.trial_id}.log"}
     video = page_path(run_folder, score.trial_id).with_suffix(".mp4")
+    report_link, *neighbours = links_of_page(run_folder, score.trial_id)
     own, foreign = (_metrics(score, concerned=concerned) for concerned in (True, False))
     return render(
         "trial.html.j2",
@@ -371,8 +323,8 @@ def _render(run_folder: Path, recording: Recording, score: TrialScore, beside: S
         policy=recording.header.spec.policy,
         prompt=recording.header.spec.protocol.task(score.task_id).prompt,
         result=result_word(score),
-        report_link=report_link(run_folder, score.trial_id),
-        neighbours=neighbour_links(run_folder, score.trial_id),
+        report_link=report_link,
+        neighbours=neighbours,
         links=[(words, f"../{name}") for words, name in files.items() if (run_folder / name).is_file()],
         video=video.name if video.is_file() else None,
         others=other_rows(score, beside, run_folder),

@@ -27,18 +27,19 @@ UNIT_SUFFIX = {
 NEEDS = "the table of trials needs pyarrow: pip install 'carecontact[tables]'"
 
 
+Kind = type[str] | type[float] | type[int] | type[bool]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Column:
     name: str
     """The unit is its end, as in ``c1_peak_force_n``; without one it is a plain number."""
-    kind: type[str] | type[float] | type[int] | type[bool]
+    kind: Kind
     value: Callable[[TrialScore], Any]
     """None: null."""
 
 
 def columns(scores: Sequence[TrialScore]) -> list[Column]:
-    """Return every field of a score that is one value, what distinguishes worlds, and further metrics that any trial
-    has."""
     found = [
         Column(name=name, kind=kind, value=lambda s, name=name: getattr(s, name))
         for name, field in TrialScore.model_fields.items()
@@ -63,10 +64,7 @@ def metric_column(id_: str) -> str:
 
 
 def write_trial_table(folder: Path | str, scores: Sequence[TrialScore]) -> Path:
-    """Write ``results.parquet`` into ``folder`` at once, rows by task and seed. Returns its path.
-
-    Raises DependencyError, saying what installs it, without pyarrow.
-    """
+    """Write ``results.parquet`` into ``folder`` and return its path. Raises DependencyError as ``trial_table``."""
     table = trial_table(scores)
     buffer = BytesIO()
     import_module("pyarrow.parquet").write_table(table, buffer)
@@ -90,7 +88,7 @@ def trial_table(scores: Sequence[TrialScore]) -> Any:
     )
 
 
-def _array(arrow: Any, kind: type[str] | type[float] | type[int] | type[bool], values: Sequence[Any]) -> Any:
+def _array(arrow: Any, kind: Kind, values: Sequence[Any]) -> Any:
     """``values`` as a ``pyarrow.Array``, None as null, without ``pyarrow.array``.
 
     That function imports pandas, where it is installed, to see whether it was given a frame: 0.3 s of every run. The
@@ -114,9 +112,8 @@ def _bitmap(flags: Sequence[Any]) -> bytes:
     return np.packbits(np.array(flags, bool), bitorder="little").tobytes()
 
 
-def _scalar(annotation: Any) -> type[str] | type[float] | type[int] | type[bool] | None:
-    """Return the column's type for ``float``, ``float | None`` or a Literal of strings; None for what is not a single
-    value."""
+def _scalar(annotation: Any) -> Kind | None:
+    """Return the type for ``float``, ``float | None`` or a Literal of strings; None for what is no single value."""
     if get_origin(annotation) in (Union, types.UnionType):
         kinds = {_scalar(part) for part in get_args(annotation) if part is not type(None)}
         return kinds.pop() if len(kinds) == 1 else None

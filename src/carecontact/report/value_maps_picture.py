@@ -163,12 +163,10 @@ def draw_value_maps(recording: Recording, notes: list[Note], *, ended: str = "")
         for column, name in enumerate(LEVELS):
             _draw_level(panel(0.2 + 4.15 * column, 3.75), motion, name, picture, feet=column == 0)
         _draw_upright(panel(13.05, 3.2), motion)
-        bands = [(lambda axes, m=motion: _draw_speed(axes, m)), (lambda axes, m=motion: _draw_tilt(axes, m)),
-                 (lambda axes, m=motion: _draw_last(axes, m))]  # fmt: skip
-        for k, draw in enumerate(bands):
+        for k, draw in enumerate((_draw_speed, _draw_tilt, _draw_last)):
             band = panel(17.15, 2.7, bottom=0.45 + 1.08 * (2 - k), tall=0.76)
-            draw(band)
-            if k < len(bands) - 1:
+            draw(band, motion)
+            if k < 2:
                 band.set_xticklabels([])
     left_out = f"; {len(motions) - len(shown)} more are left out" if len(motions) > len(shown) else ""
     method = motions[0].first.content["method"]

@@ -39,8 +39,6 @@ FRAME = re.compile(r'File "([^"]+)", line (\d+)')
 
 @dataclass(kw_only=True)
 class Check:
-    """One policy under test. ``run`` returns True if a run with it can work."""
-
     spec: TrialSpec
     policy: PolicySetup
     on_finding: Callable[[CheckFinding], None]
@@ -49,12 +47,9 @@ class Check:
     """File into which the pictures that are sent are written, for the deep check (``running.check_server``); None:
     without it."""
     warnings: int = 0
-    """Number of warnings so far."""
     times: dict[str, float] = field(default_factory=dict[str, float])
-    """Name of each timed step -> its wall time [s]."""
 
     def run(self) -> bool:
-        """Raises CarecontactError if the benchmark itself fails, as a trial does."""
         conversation, deep = self._opened(), self._deep()
         if deep is not None:
             deep.before()
@@ -127,26 +122,25 @@ class Check:
             policy.reset(episode.instruction, episode.session)
         self._say("ok", "reset", f"ready after {self.times['reset']:.2f} s")
         answers: list[list[Action]] = []
-        outside: list[list[Action]] = []
         for name in ("first", "second"):
             with self._timed(name):
                 answers.append(policy.act(observation).actions)
-            outside.append([])
             for number, action in enumerate(answers[-1]):
                 try:
-                    outside[-1] += [action] if episode.check(action)[1] else []
+                    episode.check(action)
                 except ActionError as error:
                     policy.refuse(number, error)
+        outside = [action for action in answers[0] if episode.check(action)[1]]
         seconds = len(answers[0]) / card.control_hz
         count = f"{counted(len(answers[0]), 'action')} for {seconds:.2f} s"
         took = f"first call {self.times['first']:.2f} s, second call {self.times['second']:.2f} s"
         self._say("ok", "answer", f"{count}; {took}")
-        if outside[0]:
+        if outside:
             place = "bounds of the convention" if card.delta else "workspace"
             place = "joint limits" if episode.space.in_joints else place
-            many = f"{len(outside[0])} of {len(answers[0])} targets are outside the {place}"
+            many = f"{len(outside)} of {len(answers[0])} targets are outside the {place}"
             text = f"{many}; the card requests that they are moved onto its border"
-            self._say("warning", "clipped", f"{text}{_unit(outside[0][0], episode.session.action_bounds)}")
+            self._say("warning", "clipped", f"{text}{_unit(outside[0], episode.session.action_bounds)}")
         for finding in look_at(answers[0], observation):
             self._report(finding)
         if deep is not None:
@@ -158,8 +152,7 @@ class Check:
         return True
 
     def _keeps_pace(self, count: int, card: PolicyCard) -> bool:
-        """Whether a trial with answers of this latency fits its budget of wall time. Simulated time stands still while
-        a policy computes, but the budget counts this time."""
+        """Whether a trial with answers of this latency fits its budget of wall time."""
         seconds, took = count / card.control_hz, self.times["second"]
         limit_s = self.spec.protocol.phases.time_limit_s
         whole_s = took * limit_s / seconds

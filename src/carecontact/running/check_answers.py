@@ -10,13 +10,11 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.interface.action import NEAR_BASE_M, Action
 from carecontact.interface.geometry import matrix_from_quat
-from carecontact.interface.observation import Observation
+from carecontact.interface.observation import F64, Observation
 
-F64 = npt.NDArray[np.float64]
 Level = Literal["ok", "warning", "error", "hint", "wait"]
 
 FAR_M = 0.25
@@ -39,8 +37,6 @@ OPEN, CLOSED = 0.25, 0.75
 
 @dataclass(frozen=True)
 class CheckFinding:
-    """One line of a check."""
-
     level: Level
     topic: str
     text: str
@@ -105,13 +101,8 @@ def joints_of(actions: Sequence[Action]) -> F64 | None:
 
 
 def table(values: F64, *, now: F64, kind: str) -> list[str]:
-    """Return one line for each column: its range, and for joints their present angle [rad].
-
-    Args:
-        values: (steps, columns).
-        now: (joints,) present joint angles [rad].
-        kind: ``joints``, ``poses`` of the tool, or ``deltas``.
-    """
+    """Return one line for each column of (steps, columns): its range, and for joints their present angle ``now`` [rad].
+    ``kind``: ``joints``, ``poses`` of the tool, or ``deltas``."""
     known_names = {"poses": POSE, "deltas": DELTA}
     names = known_names.get(kind, (*(f"joint {k + 1}" for k in range(len(now))), "gripper"))
     lines: list[str] = []
@@ -153,8 +144,7 @@ def look_at_joints(joints: F64, *, space: str, now: F64) -> Iterator[CheckFindin
 
 
 def look_at_gripper(commands: F64, *, closed: float = 1.0, opened: float = 0.0) -> Iterator[CheckFinding]:
-    """Yield findings about the last column (steps,); ``closed`` and ``opened``: its numbers for such a gripper, DROID's
-    by default."""
+    """Yield findings about the last column (steps,). ``closed``, ``opened``: its numbers, DROID's by default."""
     shares = (commands - opened) / (closed - opened)
     if from_zero := list(_look_at_zero(commands, closed=closed, opened=opened)):
         yield from from_zero
@@ -189,8 +179,7 @@ def _look_at_zero(commands: F64, *, closed: float, opened: float) -> Iterator[Ch
 def look_at_polarity(
     when_closed: F64, when_open: F64, *, closed: float = 1.0, opened: float = 0.0
 ) -> Iterator[CheckFinding]:
-    """Yield a warning if the commands after an observation of a closed gripper, and of an open one, follow the opposite
-    convention to that of the observation, or another range."""
+    """Yield a warning if the commands after a closed and an open gripper follow another convention."""
     ends = [(float(commands.mean()) - opened) / (closed - opened) for commands in (when_closed, when_open)]
     if ends[0] < OPEN and ends[1] > CLOSED:
         text = (

@@ -6,16 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from carecontact.interface.deltas import DeltaConvention
 from carecontact.interface.geometry import pixels
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.observation import F64, U8, CameraView, Observation
 from carecontact.running.check_deltas import AXES, path_of
 
-F64 = npt.NDArray[np.float64]
-U8 = npt.NDArray[np.uint8]
 Sent = Callable[[Observation], Mapping[str, U8]]
 """Observation -> the pictures (H, W, 3) of its message under their keys."""
 
@@ -82,7 +79,6 @@ class _Scene:
     convention: DeltaConvention
     view: CameraView
     picture: U8
-    """As it is sent."""
     way: F64
     """(2, 3) from pixels of the camera to those of the picture."""
 
@@ -106,7 +102,6 @@ class _Scene:
         return np.asarray(sheet), caption if any(end is not None for end in shown) else "the tool is outside"
 
     def _tips(self, length: float) -> list[F64]:
-        """Places (3,) in base to which +x, +y and +z of an answer lead."""
         units = np.pad(length / self.convention.unit[0] * np.eye(3), ((0, 0), (0, 3)))
         return [self.convention.target(unit, measured=self.tool, last=self.tool)[:3] for unit in units]
 
@@ -127,8 +122,7 @@ class _Scene:
     def _line(
         self, draw: ImageDraw.ImageDraw, corners: F64, colour: tuple[int, int, int], size: tuple[int, int]
     ) -> F64 | None:
-        """Draw a line as far as it lies in the picture, with a head if it ends there. Returns the place (2,) of its
-        label; None if no part of it is seen."""
+        """Draw a line as far as it lies in the picture. Return the place (2,) of its label; None if no part is seen."""
         along = np.linspace(0, len(corners) - 1, SAMPLES)
         points = np.stack([np.interp(along, np.arange(len(corners)), column) for column in corners.T], axis=1)
         places = self._places(points)

@@ -23,11 +23,10 @@ from carecontact.interface.geometry import (
     quat_from_matrix,
     vector_from_matrix,
 )
-from carecontact.interface.observation import Observation
+from carecontact.interface.observation import F64, Observation
 from carecontact.running.check_answers import TURN_RAD, CheckFinding
 from carecontact.serving.cartesian import ORIENTATIONS
 
-F64 = npt.NDArray[np.float64]
 Ask = Callable[[Observation], F64 | None]
 """Observation -> numbers (steps, 6) of the executed actions, or None if the policy refused."""
 
@@ -121,8 +120,7 @@ class Meaning:
 
 
 def meanings(tool: F64, convention: DeltaConvention) -> list[Meaning]:
-    """Return the declared meaning first, then the mistakes that are looked for, the fewest first. ``tool``: its pose
-    (7,)."""
+    """Return the declared meaning of numbers, then mistakes, the fewest first. ``tool``: its pose (7,)."""
     to_tool, other = matrix_from_quat(tool[3:]).T, "tool" if convention.frame == "base" else "base"
     frames = {convention.frame: np.eye(3), other: to_tool} if other == "tool" else {"tool": to_tool, "base": np.eye(3)}
     found: list[Meaning] = []
@@ -181,12 +179,6 @@ class Questions:
         self._spare_calls = most_calls - self.calls
 
     def run(self, *, region_m: F64 | None, orientation: str) -> Iterator[CheckFinding]:
-        """Yield what is found.
-
-        Args:
-            region_m: (3,) middle of the region that the instruction names, in base; None: pictures are not asked about.
-            orientation: name in ORIENTATIONS in which the pictures are sent.
-        """
         known = ""
         for part, name in enumerate(("translation", "rotation")):
             responses = self._responses(part)
@@ -210,14 +202,12 @@ class Questions:
         return numbers.mean(axis=0) * np.repeat(self._convention.unit, 3)
 
     def _answer(self, observation: Observation) -> F64 | None:
-        """Mean (6,) of the repeats."""
         given = [self._ask(observation) for _ in range(self._times)]
         known = [self._mean(numbers) for numbers in given if numbers is not None and len(numbers)]
         return np.mean(known, axis=0) if known else None
 
     def _responses(self, part: int) -> list[Response]:
-        """Responses to a step and, where a number stands at a limit or no meaning fits, to the further ones; none if
-        the policy refuses."""
+        """Responses to a step and, where a number stands at a limit or no meaning fits, to the further ones."""
         found: list[Response] = []
         known = meanings(self._observation.pose_tcp_in_base, self._convention)
         for step in STEPS[part]:
@@ -235,7 +225,6 @@ class Questions:
         return found
 
     def _response(self, part: int, step: float) -> Response | None:
-        """None if the policy refused."""
         chosen, least = slice(3 * part, 3 * part + 3), (SMALLEST_M, SMALLEST_RAD)[part]
         noise = NOISE * float(np.linalg.norm(self._spread[chosen])) / np.sqrt(2 * self._times)
         columns, seen = list[F64](), list[F64]()

@@ -9,15 +9,12 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from carecontact.interface.observation import CameraView, Observation
+from carecontact.interface.observation import F64, CameraView, Observation
 from carecontact.interface.policy import PolicyCard
 from carecontact.interface.robot import Session
 from carecontact.running.check_messages import camera_names, leaves
 from carecontact.serving.sent_message import dialect_of, rebuilt_message, unpacked_message
-
-F64 = npt.NDArray[np.float64]
 
 GREY = 127
 INSTRUCTION = "do nothing"
@@ -60,11 +57,7 @@ class Input:
 
 
 def inputs_of(observation: Observation, card: PolicyCard, session: Session, *, sent: bytes) -> list[Input]:
-    """Return every piece that a policy with this card is sent.
-
-    Args:
-        sent: the message that carried the observation.
-    """
+    """Return every piece that a policy with this card is sent. ``sent``: the message that carried the observation."""
     dialect = dialect_of(card.arguments)
 
     def message(seen: Observation) -> dict[str, object]:
@@ -121,17 +114,11 @@ def _equal(a: object, b: object) -> bool:
 
 
 def differ_p(plain: F64, blanked: F64, rng: np.random.Generator) -> float:
-    """Return the probability of a difference at least as large as this one if the input has no effect.
-
-    This is a permutation test, which assumes only that calls with and without the input were made in random order. It
-    combines three statistics: the squared difference of the means over all numbers of the answer, for an effect on many
-    of them; the largest difference of a mean, for an effect on one; and how often the nearest answers are of the same
-    kind, for answers with several modes.
-
-    Args:
-        plain: (n, D) numbers of the answers to one request.
-        blanked: (m, D) numbers of the answers to the same request with one input blanked.
-    """
+    """Return the probability of a difference at least as large as this one if the input has no effect. This is a
+    permutation test, which assumes only that calls with and without the input were made in random order. It combines
+    three statistics: the squared difference of the means over all numbers of the answer, for an effect on many of them;
+    the largest difference of a mean, for an effect on one; and how often the nearest answers are of the same kind, for
+    answers with several modes."""
     values = np.concatenate([plain, blanked])
     spread = values.std(axis=0)
     values = values[:, spread > 0] / spread[spread > 0]
@@ -159,13 +146,10 @@ def _share_at_least(statistic: F64) -> F64:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """The result for one input."""
-
     input: Input
     verdict: Verdict
     """``unclear``: no effect was seen in too few calls."""
     calls: int
-    """Number of calls with the input blanked."""
     refused: bool = False
     """Whether the policy refused the blanked input, which shows that it uses it."""
     moved: float = 0.0
@@ -182,19 +166,10 @@ class Ablation:
         self._ask, self._observation, self._inputs = ask, observation, list(inputs)
         self._rng = np.random.default_rng(SEED)
         self.plain: list[F64] = []
-        """Answers to the unchanged request."""
         self._blanked: list[list[F64]] = [[] for _ in inputs]
         self._refused: set[int] = set()
 
     def run(self, on_plan: Callable[[int, float], None]) -> Iterator[Effect]:
-        """Yield one effect for each input.
-
-        Args:
-            on_plan: called with the number of calls and the seconds that they will take, before many of them.
-
-        Raises:
-            PolicyError: the policy fails at the unchanged request.
-        """
         started = time.monotonic()
         for _ in range(ALIKE):
             self._call(-1)
@@ -207,10 +182,7 @@ class Ablation:
             yield self._effect(i, "used" if self._answers_differ(i) else "unused")
 
     def _by_chance(self, call_s: float, on_plan: Callable[[int, float], None]) -> Iterator[Effect]:
-        """Yield the effects for a policy whose answers to one request differ.
-
-        Calls are made in random order, so that neither a drift nor the order of the inputs can look like an effect.
-        """
+        """Yield the effects where answers differ. Random order keeps a drift from looking like an effect."""
         self.plain.clear()
         unseen, spent_s, done = list(range(len(self._inputs))), 0.0, 0
         for look in LOOKS:
@@ -270,8 +242,7 @@ class Ablation:
 
 
 def aligned(plain: Sequence[F64], blanked: Sequence[F64]) -> tuple[F64, F64]:
-    """Return the numbers of all answers as arrays (n, D) and (m, D), cut to the shortest answer, with the number of
-    steps as the last column."""
+    """Return all answers as arrays (n, D) and (m, D), cut to the shortest; the last column is the number of steps."""
     every = [*plain, *blanked]
     steps, columns = min(len(answer) for answer in every), min(answer.shape[1] for answer in every)
     rows = np.array([[*answer[:steps, :columns].ravel(), len(answer)] for answer in every])

@@ -6,19 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from carecontact.errors import ConfigError, ContractError
+from carecontact.interface.observation import F64, U8
 from carecontact.interface.policy import CAMERAS, PolicyCard
 from carecontact.serving import vla_eval
 from carecontact.serving.conversation import readable
 from carecontact.serving.dialect import profile_of
 from carecontact.serving.packing import is_array, is_list, is_map
 from carecontact.serving.sent_message import dialect_of, unpacked_message
-
-U8 = npt.NDArray[np.uint8]
-F64 = npt.NDArray[np.float64]
 
 SHOWN_CHARS = 80
 DIALECTS = ("openpi", "roboarena", "vla-eval")
@@ -38,11 +35,7 @@ def leaves(value: object, *, prefix: str = "") -> dict[str, object]:
 
 
 def decoded(frame: bytes | str, scheme: str) -> dict[str, object]:
-    """Return the leaves of a frame; none if it cannot be decoded.
-
-    Args:
-        scheme: scheme of the policy's address; ``ws`` for a policy without an address.
-    """
+    """Return the leaves of a frame; none if it cannot be decoded. ``scheme``: of the address, or ``ws``."""
     if isinstance(frame, str):
         return {}
     try:
@@ -94,15 +87,12 @@ def described(value: object) -> str:
 
 
 def listed(found: dict[str, object]) -> list[str]:
-    """Return one aligned line for each leaf."""
     names = {key: readable(key[:SHOWN_CHARS]) for key in found}
     width = max(map(len, names.values()), default=0)
     return [f"{names[key]:{width}}  {described(value)}" for key, value in found.items()]
 
 
 def check_sheet_path(path: Path) -> Path:
-    """Return the path. Raises ConfigError for a file format that would lose detail and for a folder that does not
-    exist."""
     if path.suffix.lower() != ".png":
         raise ConfigError(f"--pictures {path}: expected a name that ends in .png, which keeps every pixel")
     if not path.resolve().parent.is_dir():
@@ -118,17 +108,8 @@ def save_sheet(
     title: str,
     enlarged: Mapping[str, tuple[U8, str]] | None = None,
 ) -> None:
-    """Write all pictures beside each other, row after row, each at its own size and under its key; below them, the
-    enlarged copies with what is drawn into them.
-
-    Args:
-        found: key -> (H, W, 3) red green blue.
-        names: key -> name of our camera, where it is known.
-        enlarged: key -> enlarged copy and its caption.
-
-    Raises:
-        ConfigError: the file cannot be written.
-    """
+    """Write all pictures (H, W, 3) beside each other, row after row, each at its own size and under its key; below
+    them, the enlarged copies with what is drawn into them, and their captions. ``names``: key -> our camera."""
     font = ImageFont.load_default(size=TEXT_PX)
     shown: list[tuple[str, str, U8]] = []
     for key, image in found.items():

@@ -5,20 +5,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from carecontact.episode.episode import Episode
 from carecontact.errors import ActionError, PolicyError, counted
 from carecontact.interface.action import Action
 from carecontact.interface.deltas import DELTAS, DeltaConvention
 from carecontact.interface.deltas import WIDTH as DELTA_WIDTH
-from carecontact.interface.observation import Observation
+from carecontact.interface.observation import F64, U8, Observation
 from carecontact.interface.policy import PolicyCard, PolicyRef
 from carecontact.interface.robot import Session
 from carecontact.protocol.protocol import TrialSpec
@@ -32,8 +31,6 @@ from carecontact.serving.conversation import PolicyConversation, PolicySetup, re
 from carecontact.serving.dialect_media import JOINTS, WIDTH
 from carecontact.serving.opening import HIDDEN
 from carecontact.serving.sent_message import rebuilt_message
-
-F64 = npt.NDArray[np.float64]
 
 PATHS = {"openpi": ("/healthz",), "roboarena": ("/healthz", "/health"), "vla-eval": ("/health",)}
 """Scheme -> paths at which its servers answer a plain HTTP request. RoboArena's servers copy openpi's; vllm-omni has
@@ -73,22 +70,14 @@ class RepeatedRequest:
         self._check, self._listen, self._reopen = check, listen, reopen
         self._own: PolicyConversation | None = None
         self.last: Sequence[Action] = ()
-        """Actions of the last answer."""
         self.took_s: list[float] = []
-        """Wall time of every call [s]."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         if self._own is not None:
             self._own.close()
 
     def ask(self, observation: Observation, *, may_refuse: bool) -> Sequence[Action] | None:
-        """Return the answer; None if the policy refuses, after which it is connected again.
-
-        Raises PolicyError if the policy fails and ``may_refuse`` is false.
-        """
+        """Return the answer; None if the policy refuses, after which it is connected again."""
         try:
             try:
                 self._conversation.reset(observation.instruction, self._session)
@@ -112,18 +101,14 @@ class RepeatedRequest:
         return self.last
 
     def _connect_again(self) -> None:
-        if self._own is not None:
-            self._own.close()
+        self.close()
         self._conversation = self._own = self._reopen()
         self._listen(self._own)
         self._own.start()
 
 
 def health(ref: PolicyRef) -> CheckFinding | None:
-    """Ask a remote policy's server; return None for a kind of server without such an address.
-
-    It is no fault if a server lacks the address. Nor is it if a server does not listen: the connection will show that.
-    """
+    """Ask a remote policy's server. It is no fault if it lacks such an address, and the connection shows others."""
     for path in PATHS.get(ref.scheme, ()):
         # http.client uses no proxy of the environment.
         connection = HTTPConnection(ref.host, ref.port, timeout=DEADLINE_S)
@@ -206,11 +191,9 @@ class ServerCheck:
         """What shows that the deltas of the answer are absolute positions; empty if nothing does."""
 
     def listen(self, conversation: PolicyConversation) -> None:
-        """Listen to all messages of a conversation that begins."""
         conversation.on_sent, conversation.on_received = self._on_sent, self._on_received
 
     def before(self) -> None:
-        """Report what can be found out before the connection."""
         if found := health(self._policy.ref):
             self._report(found)
 
@@ -228,7 +211,6 @@ class ServerCheck:
                 self._columns(chunk, observation, kind="deltas" if self._known.delta else "joints")
 
     def answered(self, actions: Sequence[Action], observation: Observation) -> None:
-        """Report what was sent and what came back."""
         chunk, convention = self._chunk(), self._convention
         self._request(() if convention is None else (observation, _deltas_of(actions), convention))
         joints = check_answers.joints_of(actions) if chunk is None else chunk[:, :JOINTS]
@@ -269,7 +251,6 @@ class ServerCheck:
             self._report(*look_at_deltas(numbers, convention))
 
     def ask_again(self, conversation: PolicyConversation, observation: Observation, episode: Episode) -> None:
-        """Blank each input in turn. Raises PolicyError if the policy fails at the unchanged observation."""
         session = episode.session
         asking = RepeatedRequest(conversation, session, check=episode.check, listen=self.listen, reopen=self._reopen)
 
@@ -280,7 +261,7 @@ class ServerCheck:
             chunk = self._chunk()
             return check_answers.numbers_of(reply) if chunk is None else chunk
 
-        with asking:
+        with closing(asking):
             ablation = Ablation(numbers, observation, inputs_of(observation, self._known, session, sent=self._sent))
             effects: list[Effect] = []
             for effect in ablation.run(self._plan):
@@ -385,8 +366,7 @@ class ServerCheck:
             check_messages.save_sheet(shown, self._sheet, names=names, title=title, enlarged=arrows)
             self._found("ok", "pictures", f"{self._sheet} shows them as they are sent: look at it")
 
-    def _pictures_of(self, observation: Observation) -> dict[str, check_messages.U8]:
-        """Key -> picture of the message that carries an observation."""
+    def _pictures_of(self, observation: Observation) -> dict[str, U8]:
         again = rebuilt_message(observation, self._known.arguments, self._known.cameras, sent=self._sent)
         return check_messages.pictures(check_messages.decoded(again, self._scheme))
 

@@ -1,13 +1,15 @@
-"""What an engine that runs trials has to do, what a worker is asked for, and the pipe on which it reports its
-status."""
+"""What an engine that runs trials is given and returns, what a worker is asked for, and the pipe for its reports."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
@@ -18,39 +20,36 @@ from carecontact.serving.conversation import PolicySetup
 if TYPE_CHECKING:
     from carecontact.runs.identity import Identity
 
-POLICY_RUNS, POLICY_GONE, ANSWERED = b"+", b"-", b"="
-"""Status of a worker: the process of a local policy is about to start; it is gone; it answered, and DIGEST_BYTES
-follow."""
-DIGEST_BYTES = 32
-
 
 class StatusPipe:
-    """The supervisor's end of a worker's status pipe, which works even if the disk is full."""
+    """The supervisor's end of a worker's status pipe: JSON, one object a line. It works even if the disk is full."""
 
     def __init__(self, pipe: int) -> None:
         """``pipe``: file descriptor to read from, which this object then owns."""
         os.set_blocking(pipe, False)
-        self._pipe = pipe
-        self._rest = b""
-        self.policy_runs = False
+        self._pipe, self._rest = pipe, b""
         self.answers = b""
         """Digests of the policy's answers, one after another."""
+        self.said: dict[str, Any] = {}
+        """The last value of everything else that ``worker.Reports`` names."""
+        self.waited_s = -math.inf
+        """When the worker last said that it waits for its policy."""
+
+    @property
+    def policy_runs(self) -> bool:
+        return self.said.get("policy_runs", False)
 
     def read(self) -> None:
         """Read the messages that have arrived. Call it repeatedly: the other end waits while the pipe is full."""
         with suppress(BlockingIOError):
             while piece := os.read(self._pipe, 1 << 16):
                 self._rest += piece
-        while self._rest:
-            kind, size = self._rest[:1], 1
-            if kind == ANSWERED:
-                size += DIGEST_BYTES
-                if len(self._rest) < size:
-                    return
-                self.answers += self._rest[1:size]
-            else:
-                self.policy_runs = kind == POLICY_RUNS
-            self._rest = self._rest[size:]
+        *lines, self._rest = self._rest.split(b"\n")
+        for said in map(json.loads, lines):
+            self.answers += bytes.fromhex(said.pop("answer", ""))
+            if "waiting" in said:
+                self.waited_s = time.monotonic()
+            self.said |= said
 
     def close(self) -> None:
         os.close(self._pipe)
@@ -70,11 +69,9 @@ class TrialRequest(BaseModel):
     out: Path
     """Recording to write."""
     weights: Path | None = None
-    """Folder with the weights of the protocol's segmenter."""
     pace_s: float | None = None
     """Wall time [s] for each control period, as the policy sees it."""
     status_fd: int | None = None
-    """File descriptor of the worker's end of the status pipe."""
 
     @model_validator(mode="after")
     def _one_policy(self) -> Self:
@@ -83,11 +80,7 @@ class TrialRequest(BaseModel):
 
 
 def setup_of(spec: TrialSpec) -> PolicySetup:
-    """Return the setup of a policy that needs nothing but what its trial says.
-
-    Raises ConfigError for a malformed reference, ValueError for a trial that lets variables pass: their values are
-    unknown.
-    """
+    """Return the setup of a policy that needs nothing but what its trial says."""
     setup = PolicySetup.of(spec.policy, arguments=spec.policy_arguments)
     check_setup(spec, setup)
     return setup
@@ -106,12 +99,9 @@ EngineName = Literal["local", "ray"]
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """The settings that all trials of one run share."""
-
     out: Path
     """Folder for the recordings and logs."""
     work: Path
-    """Folder for files that are not finished."""
     policy: PolicySetup
     identity: Identity
     weights: Path | None = None
@@ -137,36 +127,3 @@ class Ended:
     recording: Recording | None = None
     warnings: tuple[str, ...] | None = None
     """Warnings about the policy's first answer; None if it gave no answer."""
-
-
-class Engine(Protocol):
-    """The trials of one run that run now. One thread calls it; no call waits for a trial.
-
-    The supervisor decides which trials an engine carries out, and when.
-    """
-
-    def slots(self) -> int:
-        """Return how many trials it can run at once, just now."""
-        ...
-
-    def count(self) -> int:
-        """Return how many trials have started and not ended."""
-        ...
-
-    def has_room(self) -> bool:
-        """Return whether one more recording can be stored beside those of the trials that run."""
-        ...
-
-    def start(self, spec: TrialSpec) -> None: ...
-
-    def finished(self) -> list[Ended]:
-        """Return the attempts that have ended since the last call. Their recordings are then in the run's folder."""
-        ...
-
-    def waiting(self) -> dict[str, str]:
-        """Trial id -> a line about a policy that was silent just now; empty where an engine cannot know."""
-        ...
-
-    def kill_all(self) -> None:
-        """Kill all processes of all trials."""
-        ...

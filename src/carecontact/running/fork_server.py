@@ -32,7 +32,6 @@ NEEDED = (
     *("carecontact.running.trial", "carecontact.running.check_answers", "carecontact.serving.process"),
     *("carecontact.scoring.score", "h5py", "numpy.ma", "numpy.random"),
 )
-"""Modules that a worker would import."""
 
 
 def main() -> None:
@@ -99,8 +98,7 @@ def prepare() -> None:
 
 
 def work(given: list[int], *, server: int) -> int:
-    """Run a worker with the descriptors of its standard input, its output, its status and its news; returns its exit
-    status. ``server``: the id of the process that forked it."""
+    """Run a worker with the descriptors of its standard input, output, status and news; returns its exit status."""
     requests, output, status, _ = given
     for source, target in ((requests, 0), (output, 1), (output, 2), (status, STATUS_FD)):
         os.dup2(source, target, inheritable=target < STATUS_FD)

@@ -52,8 +52,7 @@ OTHER_ANSWERS = "other_answers"
 def harness_error_recording(
     spec: TrialSpec, *, kind: str, message: str, ended: EndReason = "harness_error"
 ) -> Recording:
-    """Return a zero-length recording with the evidence in its failure. A harness error counts neither for nor against
-    the policy."""
+    """Return a zero-length recording with the evidence, which counts neither for nor against the policy."""
     half_yaw, regions = math.radians(spec.protocol.scene.robot_yaw_deg) / 2, list(spec.protocol.regions)
     header = Header(
         spec=spec,
@@ -74,13 +73,7 @@ def harness_error_recording(
     return Recording(header=header, arrays=empty_arrays(0, regions=len(regions)))
 
 
-def killed_by_policy_recording(spec: TrialSpec, *, message: str) -> Recording:
-    """Return the recording of a trial whose process dies whenever its policy runs: a failure of the policy."""
-    return harness_error_recording(spec, kind=POLICY_KILLED, message=message, ended="process_failure")
-
-
 def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
-    """Return the end of a text, cut at a line."""
     if len(text) <= characters:
         return text.strip()
     cut = text[-characters:]
@@ -88,14 +81,11 @@ def tail(text: str, *, characters: int = EVIDENCE_CHARACTERS) -> str:
 
 
 def digest_of(actions: Sequence[Action]) -> bytes:
-    """Return the 32 bytes that stand for one answer."""
     return hashlib.sha256(pack(plain_actions(actions))).digest()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lost:
-    """What earlier attempts at a trial have left."""
-
     answers: bytes = b""
     """Digests of the answers that a repetition has to begin with."""
     recording: Recording | None = None
@@ -112,7 +102,9 @@ class Lost:
             "gave other answers than before; a repetition counts only if it goes the same way as the attempt that was "
             "lost"
         )
-        recording = self.recording or killed_by_policy_recording(spec, message=message)
+        recording = self.recording or harness_error_recording(
+            spec, kind=POLICY_KILLED, message=message, ended="process_failure"
+        )
         failure = Failure(kind=OTHER_ANSWERS, message=message)
         return replace(recording, header=recording.header.model_copy(update={"failure": failure}))
 
@@ -149,17 +141,13 @@ class Losses:
                     kept = recording if is_policy_killed(recording.header) else None
                     self._lost[trial_id] = Lost(answers=recording[STORED].tobytes(), recording=kept)
 
-    def counted(self, recording: Recording, answers: bytes) -> Recording:
-        """Handle a trial that came to its end."""
-        spec = recording.header.spec
+    def ended(self, recording: Recording, answers: bytes) -> Recording | str:
+        """Handle a trial that left a recording; its policy's process may have been killed."""
+        spec, failure = recording.header.spec, recording.header.failure
+        if failure is not None and is_policy_killed(recording.header):
+            return self._once_more(spec, answers, reason_of(failure), of_policy=recording, otherwise=recording)
         earlier = self._lost.get(spec.trial_id, Lost())
         return recording if earlier.permits(answers) else earlier.answered_otherwise(spec)
-
-    def policy_killed(self, recording: Recording, answers: bytes) -> Recording | str:
-        """Handle a trial that ended because its policy's process was killed."""
-        assert recording.header.failure is not None
-        why = reason_of(recording.header.failure)
-        return self._once_more(recording.header.spec, answers, why, of_policy=recording, otherwise=recording)
 
     def died(
         self, spec: TrialSpec, answers: bytes, death: str, evidence: str, *, with_policy: bool, starved: bool
@@ -172,7 +160,9 @@ class Losses:
         """
         if with_policy:
             death += " while the policy was running"
-            failed = killed_by_policy_recording(spec, message=f"{death}, in both attempts{evidence}")
+            # A trial whose process dies whenever its policy runs is a failure of the policy.
+            message, kind, ended = f"{death}, in both attempts{evidence}", POLICY_KILLED, "process_failure"
+            failed = harness_error_recording(spec, kind=kind, message=message, ended=ended)
         else:
             failed = harness_error_recording(spec, kind=KILLED, message=death + evidence)
         bound = b"" if self._signals_closed and not starved else answers

@@ -78,11 +78,7 @@ class Finding:
 
 
 def findings(*, quick: bool = False) -> Iterator[Finding]:
-    """Run the checks, one at a time.
-
-    Args:
-        quick: whether to run only those that take some 0.1 s together and whose failure would fail every trial.
-    """
+    """Run the checks, one at a time; ``quick``: only those of some 0.1 s whose failure would fail every trial."""
     checks = [check_python, check_temporary_folder, partial(check_opengl, frame=not quick)]
     if not quick:
         checks += [check_packages, check_extras, check_tissue, check_pose, check_assets]
@@ -92,11 +88,7 @@ def findings(*, quick: bool = False) -> Iterator[Finding]:
 
 @cache
 def check_ready() -> None:
-    """Check once in each process, before its first trial, that trials can run here.
-
-    Raises DependencyError that names the first thing to fix: the version of Python, or the variable or folder. Where no
-    process is left for a check, it raises nothing: a trial waits for one.
-    """
+    """Check once in each process, before its first trial, that trials can run here."""
     from carecontact.sim.opengl import INSTALLING
 
     with suppress(BlockingIOError):
@@ -133,7 +125,6 @@ def check_extras() -> Finding:
 
 
 def check_tissue() -> Finding:
-    """Load the compiled tissue, and say what it was made of."""
     from carecontact.tissue import binary, binary_lookup
 
     if problem := binary_lookup.binary_problem():
@@ -159,11 +150,7 @@ def check_temporary_folder() -> Finding:
 
 
 def check_opengl(*, frame: bool = True) -> Finding:
-    """Make a context as every trial does, which draws pictures for its report at least.
-
-    Args:
-        frame: whether MuJoCo shall also render a picture with it, which takes half a second more.
-    """
+    """Make a context as every trial does; with ``frame``, MuJoCo also renders a picture: 0.5 s more."""
     from carecontact.sim.opengl import INSTALLING, LIBRARIES, choose_backend
 
     problem = _probe(FRAME_PROBE if frame else CONTEXT_PROBE, environment={})
@@ -250,8 +237,7 @@ def check_machine() -> Finding:
 
 
 def _probe(code: str, *, environment: dict[str, str]) -> str | None:
-    """Run code in a process of its own, which a broken library may crash. Return None, or the last line of its
-    output."""
+    """Run code in a process, which a broken library may crash. Return None, or the last line of its output."""
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-c", code],

@@ -32,7 +32,6 @@ MAX_PACE_S = 5.0
 
 
 def check_pace(pace_s: float | None) -> None:
-    """Raises ConfigError for a pace that no trial can keep."""
     if pace_s is not None and not WARM_S < pace_s <= MAX_PACE_S:
         raise ConfigError(
             f"--pace {pace_s:g}: must be above {WARM_S:g} s, because an observation has to be ready {WARM_S:g} s "
@@ -71,14 +70,8 @@ class Pace:
             self._act_s.append(self._answered_s - self._left_s)
 
     def hold(self, rehearse: Callable[[], object] = lambda: None) -> None:
-        """Return when the next observation may leave.
-
-        One that is late, which means not ready WARM_S before its time, leaves after the next whole pace, so that the
-        policy learns that it was late, and not by what fraction.
-
-        Args:
-            rehearse: makes the message.
-        """
+        """Return when the next observation may leave. One that is late, which means not ready WARM_S before its time,
+        leaves after the next whole pace, so that the policy learns that it was late, and not by what fraction."""
         if self._answered_s is None:
             self._left_s = self._clock()
             return

@@ -30,7 +30,7 @@ from carecontact.recording.schema import KILLED
 from carecontact.running.engine import Ended, RunSettings
 from carecontact.running.lost import harness_error_recording
 from carecontact.running.machine import check_ready
-from carecontact.running.workers import WORKER_COMMAND, Launcher, Workers, has_room
+from carecontact.running.workers import WORKER_COMMAND, Launcher, Workers
 from carecontact.runs.identity import identity_of
 from carecontact.runs.manifest import MANIFEST
 from carecontact.serving.sandbox import private_folder
@@ -64,12 +64,7 @@ class NodeDone:
 
 
 def carry_out(release: str, packed: bytes) -> NodeDone:
-    """Run the trial to its end, with a second attempt where a signal killed a process of the first.
-
-    Args:
-        release: of the carecontact that packed the task.
-        packed: a ``NodeTask``, pickled.
-    """
+    """Run the trial of a pickled ``NodeTask``, again if a signal killed it. ``release``: that packed the task."""
     node = platform.node()
     if release != __version__:
         why = f"it has carecontact {__version__}, and the command has {release}"
@@ -89,8 +84,7 @@ def carry_out(release: str, packed: bytes) -> NodeDone:
 
 
 def differences(task: NodeTask) -> str:
-    """List what differs between this node and the planning command and influences the results, or why this node cannot
-    run trials; empty if nothing does."""
+    """List what differs here from the planning command, or why this node cannot run trials; empty if nothing does."""
     policy, planned = task.run.policy, task.run.identity
     try:
         check_ready()
@@ -121,9 +115,14 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
         policy = replace(task.run.policy, closed=(*task.run.policy.closed, str(folder.path)))
         killed = frozenset[str]() if task.earlier is None else frozenset({trial_id})
         settings = replace(task.run, out=out, work=work, policy=policy, killed=killed)
-        workers = Workers(settings, _launcher(task.run.command or WORKER_COMMAND))
+        workers, ended = Workers(settings, _launcher(task.run.command or WORKER_COMMAND)), None
         try:
-            ended = _ended(workers, task.spec)
+            # As many attempts as ``Losses`` allows.
+            while ended is None or ended.kind == "lost":
+                workers.start(task.spec)
+                while not (found := workers.finished()):
+                    time.sleep(POLL_S)
+                ended = found[0]
         finally:
             workers.kill_all()
         if ended.kind == "unreached":
@@ -138,29 +137,12 @@ def _carried_out(task: NodeTask, node: str) -> NodeDone:
 
 @cache
 def _launcher(command: tuple[str, ...]) -> Launcher:
-    """Return the launcher of all trials that this process of the cluster runs; its fork server ends with this
-    process."""
+    """The launcher of all trials of this process of the cluster; its fork server ends with the process."""
     return Launcher(command)
 
 
-def _ended(workers: Workers, spec: TrialSpec) -> Ended:
-    """Return how the last attempt ended, out of as many as ``Losses`` allows."""
-    workers.start(spec)
-    while True:
-        for ended in workers.finished():
-            if ended.kind != "lost":
-                return ended
-            workers.start(spec)
-        time.sleep(POLL_S)
-
-
 def connect(*policies: PolicyRef) -> None:
-    """Connect this process to the cluster that RAY_ADDRESS names, or that runs on this machine; once.
-
-    The current folder goes to the nodes if any of the policies is imported from it, without the folders of runs.
-
-    Raises DependencyError without the package, ConfigError where there is no cluster or the folder is too large.
-    """
+    """Connect once to a cluster. The current folder goes to the nodes, without runs, if a policy comes from it."""
     try:
         ray: Any = import_module("ray")
     except ModuleNotFoundError:
@@ -223,7 +205,7 @@ class RayTrials:
     def __init__(self, run: RunSettings, *, gpus: float = 0.0) -> None:
         """``gpus``: share of a GPU that Ray reserves for each trial."""
         self._run, self._gpus = run, gpus
-        self._running: dict[Any, TrialSpec] = {}
+        self.running: dict[Any, TrialSpec] = {}
         self._lost: dict[str, list[str]] = {}
         self._ray: Any = import_module("ray")
         # A task that Ray would repeat by itself repeats unseen: the supervisor does it, and says so.
@@ -233,24 +215,17 @@ class RayTrials:
         """Return one trial for each core of the nodes that are there now."""
         return max(1, int(self._ray.cluster_resources().get("CPU", 0)))
 
-    def count(self) -> int:
-        return len(self._running)
-
-    def has_room(self) -> bool:
-        return has_room(self._run.work, len(self._running))
-
     def start(self, spec: TrialSpec) -> None:
         lost = self._run.out / f"{spec.trial_id}.h5"
         earlier = lost.read_bytes() if spec.trial_id in self._run.killed and lost.is_file() else None
         task = NodeTask(spec=spec, run=self._run, earlier=earlier)
-        self._running[self._remote.remote(__version__, pickle.dumps(task))] = spec
+        self.running[self._remote.remote(__version__, pickle.dumps(task))] = spec
 
     def finished(self) -> list[Ended]:
-        """Raises ConfigError for a node that cannot run trials of this run."""
-        if not self._running:
+        if not self.running:
             return []
-        ready, _ = self._ray.wait(list(self._running), num_returns=len(self._running), timeout=0)
-        return [self._ended(self._running.pop(ref), ref) for ref in ready]
+        ready, _ = self._ray.wait(list(self.running), num_returns=len(self.running), timeout=0)
+        return [self._ended(self.running.pop(ref), ref) for ref in ready]
 
     def waiting(self) -> dict[str, str]:
         there = self._ray.cluster_resources()
@@ -260,12 +235,12 @@ class RayTrials:
             lacks = f"node with the GPUs that --gpus {self._gpus:g} reserves"
         else:
             return {}
-        return {spec.trial_id: f"waits: the cluster has no {lacks}" for spec in self._running.values()}
+        return {spec.trial_id: f"waits: the cluster has no {lacks}" for spec in self.running.values()}
 
     def kill_all(self) -> None:
-        for ref in self._running:
+        for ref in self.running:
             self._ray.cancel(ref, force=True)
-        self._running.clear()
+        self.running.clear()
 
     def _ended(self, spec: TrialSpec, ref: Any) -> Ended:
         try:

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from carecontact.errors import ConfigError, ExhaustedError, StorageError, counted
 from carecontact.interface.policy import PolicyCard
@@ -18,7 +18,7 @@ from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording.file import TEMPORARY, no_space
 from carecontact.recording.reason import reason_of
 from carecontact.recording.schema import EndReason, Recording
-from carecontact.running.engine import Engine, EngineName, RunSettings, check_setup, setup_of
+from carecontact.running.engine import EngineName, RunSettings, check_setup, setup_of
 from carecontact.running.machine import check_ready
 from carecontact.running.pace import check_pace, late_in
 from carecontact.running.workers import ROOM_BYTES, WORKER_COMMAND, Launcher, Workers
@@ -28,6 +28,9 @@ from carecontact.runs.manifest import MANIFEST, Purpose, Survey, runs_beside, sa
 from carecontact.serving.conversation import WAIT_REPORT_S, PolicySetup
 from carecontact.serving.sandbox import remove_abandoned_folders
 from carecontact.system import REMEDY, is_exhausted
+
+if TYPE_CHECKING:
+    from carecontact.running.ray_engine import RayTrials
 
 WORK_PREFIX = ".running-"
 """Begins the name of the hidden folder in a run's folder where its trials are written until they are finished."""
@@ -52,10 +55,7 @@ def remove_abandoned(out: Path) -> None:
 
 
 def check_engine(name: EngineName, *policies: PolicySetup, gpus: float) -> str:
-    """Return a warning about what the engine opens to the policies of this command, or nothing.
-
-    Raises ConfigError for what the engine cannot give or reach, DependencyError for one that is not installed.
-    """
+    """Return a warning about what the engine opens to the policies of this command, or nothing."""
     if name == "local":
         if gpus:
             raise ConfigError("--gpus: only --engine ray reserves GPUs; on one machine every trial may use all of them")
@@ -75,7 +75,7 @@ def check_engine(name: EngineName, *policies: PolicySetup, gpus: float) -> str:
     )
 
 
-def engine_of(name: EngineName, run: RunSettings, launcher: Launcher, *, gpus: float) -> Engine:
+def engine_of(name: EngineName, run: RunSettings, launcher: Launcher, *, gpus: float) -> Workers | RayTrials:
     """``gpus``: share of a GPU that a cluster reserves for each trial. Raises as ``check_engine``."""
     check_engine(name, run.policy, gpus=gpus)
     if name == "local":
@@ -116,15 +116,15 @@ class RunSummary:
 
     def followed_by(self, later: RunSummary) -> RunSummary:
         """Return the summary of a command that then ran some of these trials again."""
-        ended: dict[str, EndReason] = {trial: how for trial, how in self.ended.items() if trial not in later.planned}
+        ended = {trial: how for trial, how in self.ended.items() if trial not in later.planned}
         late = {trial: number for trial, number in self.late.items() if trial not in later.planned}
         ran, kept = (tuple(t for t in trials if t not in later.planned) for trials in (self.ran, self.kept))
-        return RunSummary(
+        return replace(
+            later,
             planned=self.planned,
             ended=ended | later.ended,
             ran=ran + later.ran,
             kept=kept + later.kept,
-            unreached=later.unreached,
             late=late | later.late,
             most_at_once=max(self.most_at_once, later.most_at_once),
             wall_s=self.wall_s + later.wall_s,
@@ -132,19 +132,10 @@ class RunSummary:
 
 
 def run_trials(specs: Sequence[TrialSpec], *, out: Path, jobs: int | None = None, **options: Any) -> RunSummary:
-    """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards.
-
-    A trial of which a signal killed a process is run once more (``running.lost``). A worker that dies without a
-    recording gets one that says how it died. If a policy's server stays out of reach, no further trial begins; those
-    that run end, and those that did not begin have no recording. On KeyboardInterrupt the workers are killed and
-    finished trials stay.
-
-    Args:
-        jobs: default: as many as the engine can run.
-        options: further ones of ``open_run``.
-
-    Raises as ``open_run`` and ``Run.advance``.
-    """
+    """Run what is missing in ``out``, ``jobs`` trials at once; every trial has a recording afterwards. A trial of which
+    a signal killed a process is run once more (``running.lost``). A worker that dies without a recording gets one that
+    says how it died. If a policy's server stays out of reach, no further trial begins; those that run end, and those
+    that did not begin have no recording. On KeyboardInterrupt the workers are killed and finished trials stay."""
     check_jobs(jobs)
     with open_run(specs, out=out, **options) as run:
         while run.advance(jobs):
@@ -184,10 +175,6 @@ def open_run(
         suspects: trials whose recording may be damaged in an array, and is read whole for that.
         launcher: starts the workers of other runs of this command, too, if it has the same ``worker_command``.
         whole: ids of all trials of the run of which ``specs`` are a part.
-
-    Raises ConfigError for a folder that holds another run, that another command is at work in, or that cannot be
-    written to, and for an engine that cannot be reached; DependencyError for one that is not installed, and for a
-    machine that cannot run trials; StorageError if the folder vanishes.
     """
     check_pace(pace_s)
     if not specs:
@@ -242,7 +229,7 @@ class Run:
         self,
         specs: Sequence[TrialSpec],
         found: Survey,
-        engine: Engine,
+        engine: Workers | RayTrials,
         out: Path,
         on_event: Callable[[TrialEvent], None],
     ) -> None:
@@ -251,7 +238,7 @@ class Run:
         self.late: dict[str, int] = {}
         self._stopped: StorageError | ExhaustedError | None = None
         self._found, self._total, self._out = found, len(specs), out
-        self._engine, self._on_event = engine, on_event
+        self.engine, self._on_event = engine, on_event
         self._began = self._next_start = time.monotonic()
         self._next_look = self._began + WAIT_REPORT_S
         self._answered, self._most = False, 0
@@ -265,31 +252,21 @@ class Run:
 
     @property
     def running(self) -> int:
-        """How many trials have started and not ended."""
-        return self._engine.count()
+        return len(self.engine.running)
 
     @property
     def waiting(self) -> int:
-        """How many have not started."""
         return len(self._waiting)
 
-    def slots(self) -> int:
-        """Return how many the engine can run at once, just now."""
-        return self._engine.slots()
-
     def advance(self, jobs: int | None) -> bool:
-        """Take the trials that have ended, and begin others until ``jobs`` run; returns whether any are left.
-
-        It waits for nothing: call it again and again. Raises StorageError where there is no space for a recording, and
-        ExhaustedError where no process can be started; recordings that are there stay.
-        """
+        """Take the trials that have ended, begin others until ``jobs`` run, and return at once whether any are left."""
         self._take_finished()
         while (
             self._waiting
             and time.monotonic() >= self._next_start
-            and self.running < (self.slots() if jobs is None else jobs)
+            and self.running < (self.engine.slots() if jobs is None else jobs)
         ):
-            if not self._engine.has_room():
+            if shutil.disk_usage(self._out).free < ROOM_BYTES * (self.running + 1):
                 free = no_space(self._out, f"less than {ROOM_BYTES >> 20} MB are free for each trial")
                 self._stop(StorageError(str(free)))
                 break
@@ -297,7 +274,7 @@ class Run:
             # First, because the fork server takes a second to start.
             self._report("started", spec.trial_id)
             try:
-                self._engine.start(spec)
+                self.engine.start(spec)
             except OSError as error:
                 if not is_exhausted(error):
                     raise
@@ -329,8 +306,7 @@ class Run:
             self._waiting.insert(0, spec)
 
     def _start_later(self, spec: TrialSpec, why: str) -> None:
-        """Wait with a trial and the next ones: those that run may use what it needs. Where that lasts, begin none any
-        more."""
+        """Wait with a trial: those that run may use what it needs. Where that lasts, begin no more."""
         self._again(spec)
         now = time.monotonic()
         self._lacking_since = now if self._lacking_since is None else self._lacking_since
@@ -341,21 +317,19 @@ class Run:
         self._next_start = now + START_PAUSE_S
 
     def _stop(self, why: StorageError | ExhaustedError) -> None:
-        """Begin no further trial; trials that run already may end."""
         self._stopped = why
         self._waiting.clear()
 
     def _report_silence(self) -> None:
-        """Report policies that are silent, at most once every WAIT_REPORT_S, because this reads a file for every
-        running trial."""
+        """Report policies that are silent, at most once every WAIT_REPORT_S."""
         if time.monotonic() < self._next_look:
             return
         self._next_look = time.monotonic() + WAIT_REPORT_S
-        for trial_id, line in self._engine.waiting().items():
+        for trial_id, line in self.engine.waiting().items():
             self._report("waiting", trial_id, message=line)
 
     def _take_finished(self) -> None:
-        for done in self._engine.finished():
+        for done in self.engine.finished():
             if done.kind in ("lost", "recorded"):
                 self._lacking_since = None
             if done.kind == "unreached":
@@ -388,20 +362,15 @@ class Run:
 
 
 def check_jobs(jobs: int | None) -> None:
-    """Raises ConfigError for a number of workers below 1."""
     if jobs is not None and jobs < 1:
         raise ConfigError(f"jobs {jobs}: must be at least 1")
 
 
 def move_aside(out: Path) -> Path | None:
     """Rename the folder of a run to ``NAME.before-1``, or the next number that is free, so that its folder can begin
-    again; nothing is deleted.
-
-    Call it inside ``folder_lock``, whose lock does not move: lock the folder again.
-
-    Returns the new place, or None where there is nothing to move. Raises ConfigError for a folder that is not a run,
-    that this command stands in or that cannot be moved.
-    """
+    again; nothing is deleted. Call it inside ``folder_lock``, whose lock does not move: lock the folder again. Returns
+    the new place, or None where there is nothing to move. Raises ConfigError for a folder that is not a run, that this
+    command stands in or that cannot be moved."""
     if not out.exists() or (out.is_dir() and all(path.name == LOCK for path in out.iterdir())):
         return None
     if not (out / MANIFEST).is_file():

@@ -66,8 +66,6 @@ def run_cells(
         jobs: trials at once over all cells; None: as many as the engine can run.
         on_done: called once for each cell that has ended, also for one that lacked nothing.
         options: further ones of ``supervisor.open_run``.
-
-    Raises as ``run_trials``.
     """
     supervisor.check_jobs(jobs)
     waiting, opened, launcher = list(cells), list[_Open](), Launcher()
@@ -110,8 +108,7 @@ def _advance(opened: Sequence[_Open], jobs: int | None) -> None:
 def _following(
     waiting: Sequence[Cell], opened: Sequence[_Open], policies: Sequence[SweptPolicy], jobs: int | None
 ) -> Cell | None:
-    """Return the next cell whose trials could begin now; None while those of the open cells will take all that is
-    free."""
+    """Return the next cell whose trials could begin now; None while the open cells will take all that is free."""
     if not opened:
         return next(iter(waiting), None)
     busy, taken = _busy(opened), 0
@@ -125,7 +122,7 @@ def _following(
 
 
 def _free(opened: Sequence[_Open], jobs: int | None) -> int:
-    return (opened[0].run.slots() if jobs is None else jobs) - sum(each.run.running for each in opened)
+    return (opened[0].run.engine.slots() if jobs is None else jobs) - sum(each.run.running for each in opened)
 
 
 def _busy(opened: Sequence[_Open]) -> Counter[str | int]:

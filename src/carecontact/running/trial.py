@@ -64,10 +64,6 @@ def run_trial(
         on_policy: called with True when the process of a local policy is about to start, with False when it is gone.
         on_wait: called with a line every few seconds while the policy is silent, by another thread.
         on_sent: called with every message that is sent to the policy.
-
-    Raises:
-        UnreachableError: the policy's server took no connection until the deadline of its start.
-        CarecontactError: the harness itself failed (SceneError, SettleError, DependencyError and others).
     """
     setup = policy or setup_of(spec)
     check_setup(spec, setup)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 import signal
@@ -16,7 +15,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 from carecontact.errors import RecordingError
 from carecontact.protocol.protocol import TrialSpec
@@ -25,16 +23,8 @@ from carecontact.recording.file import no_space
 from carecontact.recording.schema import FAILED, KILLED, Recording
 from carecontact.running.engine import Ended, RunSettings, StatusPipe, TrialRequest
 from carecontact.running.fork_server import PROCESS_STATUS, STATUS_FD
-from carecontact.running.lost import Losses, harness_error_recording, is_policy_killed, lack_in, tail
-from carecontact.running.worker import (
-    FIRST_ANSWER,
-    LACKING,
-    NO_SPACE,
-    UNREACHED,
-    UNSTORED,
-    WAITING,
-    worker_environment,
-)
+from carecontact.running.lost import Losses, harness_error_recording, lack_in, tail
+from carecontact.running.worker import worker_environment
 from carecontact.runs.manifest import runs_beside
 from carecontact.serving.conversation import WAIT_REPORT_S, readable
 from carecontact.serving.process_tree import readable_descriptors
@@ -48,16 +38,6 @@ PATIENCE_S = 60.0
 ROOM_BYTES = 48 << 20
 """Free space that a trial needs to begin: a whole trial takes 2 MB, and its policy's notes may take 32 MB more
 (MAX_NOTES_BYTES of ``episode.log``)."""
-
-
-class Process(Protocol):
-    """The part of the interface of ``subprocess.Popen`` that the supervisor uses of a worker's process."""
-
-    pid: int
-    returncode: int | None
-
-    def poll(self) -> int | None: ...
-    def wait(self) -> int: ...
 
 
 class ServerLostError(Exception):
@@ -86,8 +66,7 @@ class Launcher:
                 self._serving()
 
     def start(self, request: TrialRequest, *, log: Path) -> Process:
-        """``request`` with a ``status_fd``; ``log``: file for what the worker prints. Raises OSError where no process
-        can be started."""
+        """``request`` with a ``status_fd``; ``log``: file for what the worker prints."""
         assert request.status_fd is not None
         with log.open("wb") as output:
             if self._forks:
@@ -102,7 +81,7 @@ class Launcher:
                 stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env=_environment(),
+                env=worker_environment(),
                 pass_fds=(request.status_fd,),
                 start_new_session=True,
             )
@@ -122,7 +101,6 @@ class Launcher:
         self._server = None
 
     def _forked(self, request: TrialRequest, status_fd: int, output_fd: int) -> ForkedProcess:
-        """Raises ServerLostError and OSError."""
         server, line = self._serving()
         theirs, requests = os.pipe()
         news, reports = os.pipe()
@@ -150,7 +128,7 @@ class Launcher:
                     stdin=far.fileno(),
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
-                    env=_environment(),
+                    env=worker_environment(),
                     start_new_session=True,
                 )
             self._server = server, line
@@ -159,8 +137,7 @@ class Launcher:
 
 class ForkedProcess:
     def __init__(self, server: subprocess.Popen[bytes], news: int) -> None:
-        """``news``: descriptor to read from, which this object then owns. Raises ServerLostError, and OSError if the
-        server could not fork."""
+        """``news``: descriptor to read from, which this object then owns."""
         self.returncode: int | None = None
         self._server, self._news = server, news
         pid = self._next()
@@ -170,8 +147,6 @@ class ForkedProcess:
         self.pid = pid
 
     def poll(self) -> int | None:
-        if is_stopped(self._server.pid):
-            self._server.kill()
         if self.returncode is None and readable_descriptors([self._news], 0.0):
             self.wait()
         return self.returncode
@@ -192,11 +167,7 @@ class ForkedProcess:
         return PROCESS_STATUS.unpack(piece)[0] if piece else None
 
 
-def is_stopped(pid: int) -> bool:
-    """Whether the process received SIGSTOP, where the system says so: nothing in the harness sends it."""
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] == "T"
-    return False
+Process = subprocess.Popen[bytes] | ForkedProcess
 
 
 def kill_tree(process: Process) -> None:
@@ -213,15 +184,6 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def has_room(work: Path, running: int) -> bool:
-    """Whether one more recording can be stored beside those of the trials that run."""
-    return shutil.disk_usage(work).free >= ROOM_BYTES * (running + 1)
-
-
-def _environment() -> dict[str, str]:
-    return {**worker_environment(), "PYTHONHASHSEED": "0"}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Worker:
     """The process of a trial that runs, and its files."""
@@ -232,12 +194,6 @@ class Worker:
     output: Path
     status: StatusPipe
     started: float
-
-    def note(self, name: str) -> str | None:
-        """Return the text of a file beside the recording; None if there is none."""
-        with suppress(OSError):
-            return self.partial.with_name(name).read_text(errors="replace")
-        return None
 
     def lack(self) -> str:
         """Return why the trial could not begin to ask its policy, if it lacked a process, a thread or memory."""
@@ -257,19 +213,9 @@ class Worker:
             return recording, ""
         return None, f"the worker recorded another trial, {recording.header.spec.trial_id}"
 
-    def warnings(self) -> tuple[str, ...] | None:
-        """Return the warnings about the first answer. A policy of this machine could write any text there."""
-        with suppress(ValueError):
-            found = json.loads(self.note(FIRST_ANSWER) or "null")
-            if isinstance(found, list):
-                return tuple(readable(str(text)) for text in found)
-        return None
-
-    def death(self, *, timed_out: bool, stopped: bool, limit_s: float) -> tuple[str, str]:
+    def death(self, *, timed_out: bool, limit_s: float) -> tuple[str, str]:
         """Return the kind and the description of the process's end, in case that it left no recording."""
         code = self.process.wait()
-        if stopped:
-            return KILLED, "the trial's process was stopped by a signal"
         if timed_out:
             return "timeout", f"the trial's process ran longer than {limit_s:g} s and was killed"
         if code < 0:
@@ -290,12 +236,6 @@ class Workers:
 
     def slots(self) -> int:
         return available_cores()
-
-    def count(self) -> int:
-        return len(self.running)
-
-    def has_room(self) -> bool:
-        return has_room(self._run.work, len(self.running))
 
     def start(self, spec: TrialSpec) -> None:
         # Neither a name nor a command line may show the policy, which can read both, what it is tried on.
@@ -330,13 +270,10 @@ class Workers:
         return [ended for worker in list(self.running) if (ended := self._reaped(worker)) is not None]
 
     def waiting(self) -> dict[str, str]:
-        lines: dict[str, str] = {}
-        for worker in self.running:
-            note = worker.partial.with_name(WAITING)
-            with suppress(OSError):
-                if time.time() - note.stat().st_mtime < 2 * WAIT_REPORT_S:
-                    lines[worker.spec.trial_id] = note.read_text(errors="replace")
-        return lines
+        """Trial id -> a line about a policy that was silent just now."""
+        since = time.monotonic() - 2 * WAIT_REPORT_S
+        statuses = {worker.spec.trial_id: worker.status for worker in self.running}
+        return {trial_id: status.said["waiting"] for trial_id, status in statuses.items() if status.waited_s > since}
 
     def kill_all(self) -> None:
         for worker in self.running:
@@ -348,32 +285,28 @@ class Workers:
         """Return how a worker ended; None while it runs."""
         spec, status, limit_s = worker.spec, worker.status, self._run.trial_limit_s
         status.read()
-        stopped = is_stopped(worker.process.pid)
         timed_out = time.monotonic() - worker.started > limit_s
-        if worker.process.poll() is None and not timed_out and not stopped:
+        if worker.process.poll() is None and not timed_out:
             return None
         self.running.remove(worker)
         kill_tree(worker.process)
         status.read()
         status.close()
-        code = worker.process.wait()
-        # A policy of this machine could write the note to leave out a trial, but cannot choose a worker's exit status.
-        believed = self._run.policy.ref.kind == "remote" or code == LACKING
-        if believed and (unreached := worker.note(UNREACHED)) is not None:
+        if (unreached := status.said.get("unreached")) is not None:
             return Ended(spec=spec, kind="unreached", why=unreached)
-        if code == UNSTORED:
-            place = worker.note(NO_SPACE)
-            why = str(no_space(self._run.out, os.strerror(errno.ENOSPC))) if place is None else readable(place)
+        if (place := status.said.get("unstored")) is not None:
+            why = readable(place) or str(no_space(self._run.out, os.strerror(errno.ENOSPC)))
             return Ended(spec=spec, kind="unstored", why=why)
         if lack := worker.lack():
             return Ended(spec=spec, kind="lacked", why=lack)
-        kind, death = worker.death(timed_out=timed_out, stopped=stopped, limit_s=limit_s)
+        kind, death = worker.death(timed_out=timed_out, limit_s=limit_s)
         recording = self._collected(worker, kind, death)
         if isinstance(recording, str):
             return Ended(spec=spec, kind="lost", why=recording)
         os.replace(worker.partial, self._run.out / f"{spec.trial_id}.h5")
         self._keep_log(worker, recording)
-        return Ended(spec=spec, kind="recorded", recording=recording, warnings=worker.warnings())
+        warnings = tuple(map(readable, status.said["warnings"])) if "warnings" in status.said else None
+        return Ended(spec=spec, kind="recorded", recording=recording, warnings=warnings)
 
     def _collected(self, worker: Worker, kind: str, death: str) -> Recording | str:
         """Return the recording, which is then in ``worker.partial``, or why the trial has to run once more."""
@@ -384,8 +317,7 @@ class Workers:
             death += f": {problem}"
         lack = "" if found is None else lack_in(found.header)
         if found is not None and not lack:
-            handle = losses.policy_killed if is_policy_killed(found.header) else losses.counted
-            outcome = handle(found, status.answers)
+            outcome = losses.ended(found, status.answers)
         elif lack or status.policy_runs or kind == KILLED:
             starved = bool(lack) or kind == "timeout"
             outcome = losses.died(

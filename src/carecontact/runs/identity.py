@@ -51,11 +51,9 @@ def fingerprints(arguments: Mapping[str, str]) -> dict[str, str]:
 
 
 def fingerprint_of(path: Path) -> str | None:
-    """Return a sha256 over the names, sizes and contents of a file or of all files of a folder.
-
-    A file longer than WHOLE_BYTES counts with SAMPLES blocks of its content, so that a change of a few bytes of it may
-    be missed. None for what is neither file nor folder, and for a folder of more than MAX_FILES files.
-    """
+    """Return a sha256 over the names, sizes and contents of a file or of all files of a folder. A file longer than
+    WHOLE_BYTES counts with SAMPLES blocks of its content, so that a change of a few bytes of it may be missed. None for
+    what is neither file nor folder, and for a folder of more than MAX_FILES files."""
     if path.is_file():
         return hashlib.sha256(b"".join(_pieces(path))).hexdigest()
     if not path.is_dir():
@@ -120,12 +118,7 @@ class Identity(BaseModel):
 def identity_of(
     spec: TrialSpec, *, search_path: Sequence[str], language: str | None = None, card: PolicyCard | None = None
 ) -> Identity:
-    """
-    Args:
-        search_path: folders in which ``module:Class`` is looked for before the installed packages.
-        language: as the command line spells it.
-        card: what the policy showed when it was tried.
-    """
+    """``search_path``: where ``module:Class`` is looked for first. ``language``: as the command line spells it."""
     # A command that only reads results loads nothing of the world.
     from carecontact.human.library import SMPLX_PREFIX, smplx_path
 
@@ -166,10 +159,7 @@ def policy_package(ref: PolicyRef) -> dict[str, str]:
 
 
 def policy_source(ref: PolicyRef, *, search_path: Sequence[str]) -> Path | None:
-    """Find the file of a policy's module as the policy's process will, but without importing it.
-
-    None for a policy of this package, one on another host, and where there is no such file.
-    """
+    """Find the file of a policy's module, as its process will, without an import; None where there is no such file."""
     if ref.kind == "remote" or (ref.kind == "registered" and POLICIES.package(ref.name) is None):
         return None
     importlib.invalidate_caches()
@@ -225,8 +215,7 @@ def asset_hashes(protocol: Protocol) -> dict[str, str]:
 
 
 def worlds_of(protocol: Protocol) -> dict[str, tuple[Protocol, str]]:
-    """Name -> protocol and target region of the worlds that a lock holds: every region once, and where bodies vary,
-    every body with the regions in turn."""
+    """Name -> protocol and region of the worlds of a lock: each region once, or each body with a region in turn."""
     regions, bodies = protocol.regions, protocol.variation.bodies
     if not bodies:
         return {region: (protocol, region) for region in regions}
@@ -250,14 +239,13 @@ def world_sums(protocol: Protocol, region: str) -> dict[str, float]:
 
 
 def drift(lock: Lock, now: Lock) -> list[str]:
-    """Return the differences from the lock, one line each, most informative first; worlds only where ``now`` has
-    them."""
+    """Return the differences from the lock, most informative first; worlds only where ``now`` has them."""
     own = [("id", lock.id, now.id), ("embodiment", lock.embodiment, now.embodiment)]
     own.append(("protocol sha256", lock.protocol_sha256[:12], now.protocol_sha256[:12]))
     pairs = [(what, old, new) for what, old, new in own if old != new]
-    pairs += [(name, _short(old), _short(new)) for name, old, new in _changed(lock.fields, now.fields)]
+    pairs += [(name, _short(old), _short(new)) for name, old, new in changed(lock.fields, now.fields)]
     for kind, before, after in (("version of", lock.versions, now.versions), ("asset", lock.assets, now.assets)):
-        for name, *both in _changed(before, after):
+        for name, *both in changed(before, after):
             old, new = (str(value or "none")[: 12 if kind == "asset" else None] for value in both)
             pairs.append((f"{kind} {name}", old, new))
     found = [f"{what}: locked {old}, here {new}" for what, old, new in pairs]
@@ -265,22 +253,23 @@ def drift(lock: Lock, now: Lock) -> list[str]:
         held = lock.worlds.get(world, {})
         names = sorted(held.keys() | sums.keys())
         old, new = (np.array([known.get(name, np.nan) for name in names]) for known in (held, sums))
-        changed = [
+        moved = [
             name for name, same in zip(names, np.isclose(old, new, rtol=SAME, atol=1e-12), strict=True) if not same
         ]
-        if changed:
-            more = f" and {len(changed) - 4} more" if len(changed) > 4 else ""
-            found.append(f"world ({world}): {', '.join(changed[:4])}{more}")
+        if moved:
+            more = f" and {len(moved) - 4} more" if len(moved) > 4 else ""
+            found.append(f"world ({world}): {', '.join(moved[:4])}{more}")
     return found
 
 
-def _changed(before: object, after: object, place: str = "") -> Iterator[tuple[str, object, object]]:
+def changed(before: object, after: object, place: str = "") -> Iterator[tuple[str, object, object]]:
+    """Yield every place in which two values differ that JSON can hold, with what either has there."""
     if isinstance(before, Mapping) and isinstance(after, Mapping):
         for name in (*before, *(name for name in after if name not in before)):
-            yield from _changed(before.get(name), after.get(name), f"{place}.{name}" if place else str(name))
+            yield from changed(before.get(name), after.get(name), f"{place}.{name}" if place else str(name))
     elif isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         for number, pair in enumerate(zip(before, after, strict=True)):
-            yield from _changed(*pair, f"{place}[{number}]")
+            yield from changed(*pair, f"{place}[{number}]")
     elif before != after:
         yield place, before, after
 
@@ -291,8 +280,7 @@ def _short(value: object) -> str:
 
 
 def lock_of(name_or_path: str, protocol: Protocol) -> Lock | None:
-    """Return the lock that holds for a protocol: its own, or the shipped one where a file has the id of a shipped
-    protocol."""
+    """Return the lock that holds for a protocol: its own, or the shipped one where a file has its id."""
     return read_lock(protocol.id if is_borrowed(name_or_path, protocol) else name_or_path, level=protocol.level)
 
 
@@ -302,13 +290,8 @@ def is_borrowed(name_or_path: str, protocol: Protocol) -> bool:
 
 
 def check_frozen(name_or_path: str, protocol: Protocol, *, unfrozen: bool) -> Protocol:
-    """Return the protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out.
-
-    Args:
-        unfrozen: go on where it differs; then the protocol's overrides, and so every output, name the differences.
-
-    Raises ConfigError where a frozen protocol has no lock or differs from what ``lock_of`` gives.
-    """
+    """Return the protocol, if it is a draft or equals its lock; quick, so the compiled worlds are left out. With
+    ``unfrozen``, its overrides, and so every output, name the differences from the lock."""
     borrowed, lock = is_borrowed(name_or_path, protocol), lock_of(name_or_path, protocol)
     if not protocol.frozen and not (borrowed and lock):
         return protocol

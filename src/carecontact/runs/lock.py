@@ -27,16 +27,8 @@ _held = set[tuple[int, int]]()
 @contextmanager
 def folder_lock(folder: Path, *, make: bool = False) -> Generator[None]:
     """Keep every other command out of a folder inside the block; the kernel ends this in every exit of the process,
-    where it can.
-
-    The commands of one process may nest. A folder that was made for this and stays empty goes again.
-
-    Args:
-        make: whether to make a folder that is not there; if not, nothing is locked in its place.
-
-    Raises ConfigError if another command has the folder, or if nothing can be written there, and StorageError if there
-    is no space.
-    """
+    where it can. The commands of one process may nest. A folder that was made for this and stays empty goes again;
+    without ``make``, nothing is locked in the place of a folder that is not there."""
     try:
         str(folder.resolve()).encode()
     except UnicodeEncodeError:

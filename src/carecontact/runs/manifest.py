@@ -41,8 +41,7 @@ def install_line(*, held: Mapping[str, str], now: Mapping[str, str]) -> str:
 
 
 def damaged(content: bytes) -> str:
-    """Return how a manifest that cannot be read is described: by the release that wrote it, where it names another
-    one."""
+    """Describe a manifest that cannot be read: by the release that wrote it, where it names another one."""
     with suppress(ValueError, KeyError, TypeError, RecursionError):
         version = str(json.loads(content)["identity"]["versions"]["carecontact"])
         if version != __version__:
@@ -52,11 +51,7 @@ def damaged(content: bytes) -> str:
 
 
 def lost_trials(out: Path, *, failed: tuple[str, ...]) -> str:
-    """Return what of a folder cannot be kept because the policy's source changed.
-
-    Args:
-        failed: ends of trials that --retry-failed would run again.
-    """
+    """Return what of a folder cannot be kept because the policy's source changed. ``failed``: ends of failed trials."""
     ends: list[str] = []
     for path in out.glob("*.h5"):
         with suppress(RecordingError):
@@ -128,13 +123,7 @@ def runs_beside(out: Path) -> list[str]:
 def survey(
     specs: Sequence[TrialSpec], *, out: Path, retry_failed: bool, identity: Identity, suspects: Collection[str] = ()
 ) -> Survey:
-    """Sort the wanted trials that have a file in ``out`` into those to keep and those to run again.
-
-    Args:
-        suspects: trials whose recording is read whole.
-
-    Raises ConfigError when the folder holds a run of another policy, protocol or identity, or a damaged manifest.
-    """
+    """Sort the wanted trials with a file into those to keep and those to run again. ``suspects`` are read whole."""
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out {out}: this is a file; name a folder")
     if any((_policy_of(spec), spec.protocol) != (_policy_of(specs[0]), specs[0].protocol) for spec in specs):
@@ -185,11 +174,7 @@ def survey(
 def write_manifest(
     specs: Sequence[TrialSpec], *, out: Path, identity: Identity, purpose: Purpose, whole: Sequence[str] = ()
 ) -> None:
-    """Atomically; trials of earlier commands in the same folder stay listed.
-
-    Args:
-        whole: ids of all trials of the run of which ``specs`` are a part.
-    """
+    """Write atomically; trials of earlier commands stay. ``whole``: ids of the run of which ``specs`` are a part."""
     protocol, earlier = specs[0].protocol, read_manifest(out)
     trials, elsewhere = {spec.trial_id for spec in specs}, set(whole)
     if earlier:
@@ -216,9 +201,7 @@ def store_manifest(manifest: Manifest, *, out: Path) -> None:
 
 
 def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
-    """Return the trials with the noise salt of the run in ``out``, a fresh one for a new run; as they are where the
-    protocol names no sensor noise or they have a salt already. Raises ConfigError as ``read_manifest``, and for another
-    noise salt than that of the run."""
+    """Return the trials with the noise salt of the run, a fresh one for a new run, where they need one."""
     if specs[0].salt or not specs[0].protocol.variation.sensor_noise:
         return list(specs)
     earlier, given = read_manifest(out), specs[0].noise_salt
@@ -230,8 +213,7 @@ def salted(specs: Sequence[TrialSpec], *, out: Path) -> list[TrialSpec]:
 
 
 def read_manifest(out: Path) -> Manifest | None:
-    """Return the manifest of a run, or None if the folder has none. Raises ConfigError for one that cannot be read,
-    because what was planned is then unknown."""
+    """Return the manifest of a run, or None if the folder has none."""
     path, content = out / MANIFEST, b""
     try:
         content = read_bounded(path, most=MAX_BYTES)
@@ -246,7 +228,6 @@ def read_manifest(out: Path) -> Manifest | None:
 
 
 def _manifest_differs(manifest: Manifest, spec: TrialSpec, *, out: Path, identity: Identity) -> str:
-    """Return why the run of a folder is another one than that of a command; empty where it is the same."""
     held, started = manifest.identity, f"{out} was started with"
     if changed := identity.differences(versions=held.versions, sha256={}, world=held.world):
         line = install_line(held=held.versions, now=identity.versions)
@@ -320,10 +301,7 @@ DIGITS = 64
 
 
 def make_salt(path: Path) -> str:
-    """Write a new secret, which only its owner may read, and return its sha256, that of the file's bytes.
-
-    Raises ConfigError for a file that exists already.
-    """
+    """Write a new secret, which only its owner may read, and return its sha256, that of the file's bytes."""
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
@@ -334,7 +312,7 @@ def make_salt(path: Path) -> str:
 
 
 def read_salt(path: Path) -> str:
-    """Return the secret in a file; a line's end after it does not count. Raises ConfigError for anything else."""
+    """Return the secret in a file; a line's end after it does not count."""
     try:
         salt = path.read_text(errors="replace").strip()
     except OSError as error:
@@ -352,10 +330,7 @@ def with_salt(specs: Sequence[TrialSpec], salt: str) -> list[TrialSpec]:
 
 
 def reveal_salt(run: Path, salt: str) -> None:
-    """Write the secret into a run's manifest, from where anyone may verify it.
-
-    Raises ConfigError if the folder is not a run, if the run has no salt, or if the secret is not the run's.
-    """
+    """Write the secret into a run's manifest, from where anyone may verify it."""
     manifest = committed(run)
     if commitment(salt) != manifest.salt_sha256:
         raise ConfigError(
@@ -365,7 +340,6 @@ def reveal_salt(run: Path, salt: str) -> None:
 
 
 def committed(run: Path) -> Manifest:
-    """Return a run's manifest. Raises ConfigError if the folder is not a run, or the run has no salt."""
     manifest = read_manifest(run)
     if manifest is None:
         raise ConfigError(f"{run} is not a run: it holds no {MANIFEST}")

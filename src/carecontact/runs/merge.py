@@ -28,14 +28,7 @@ class Merged:
 
 
 def merge_runs(out: Path, runs: Sequence[Path]) -> Merged:
-    """Copy the recordings, logs and plans of ``runs`` into ``out``, a new folder or one that holds more of this run.
-
-    The same command continues an interrupted merge. Nothing is scored, and the parts stay as they are.
-
-    Raises ConfigError for what is not a run, for parts that differ in anything that decides their numbers, for a trial
-    of which two parts have different recordings, for a recording that no run made, and for a folder in which another
-    command is at work; then nothing was copied. RecordingError for a recording that cannot be read.
-    """
+    """Copy the recordings, logs and plans of ``runs`` into ``out``; the same command continues an interrupted merge."""
     check_places(out, runs)
     with ExitStack() as held:
         for run in runs:
@@ -138,12 +131,7 @@ def is_sweep(folder: Path) -> bool:
 
 
 def merge_sweeps(out: Path, sweeps: Sequence[Path]) -> dict[str, Merged]:
-    """Merge every cell that any of ``sweeps`` has begun into the same cell of ``out``; cell -> what became of it.
-
-    A cell of which several parts ran trials is one run in the end. The same command continues an interrupted merge.
-
-    Raises as ``merge_runs``, also for a folder that is no sweep. Cells before the one that it names are then merged.
-    """
+    """Merge every cell of ``sweeps`` into the same cell of ``out``, where the parts of a cell become one run."""
     check_places(out, sweeps)
     found: dict[str, list[Path]] = {}
     for sweep in sweeps:

@@ -20,10 +20,7 @@ SALT_DIGITS = 32
 
 
 def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
-    """``T1,T2``, ``T1-T7`` (in the protocol's order) or ``all`` -> task ids in the protocol's order.
-
-    Raises ConfigError listing the protocol's tasks.
-    """
+    """``T1,T2``, ``T1-T7`` (in the protocol's order) or ``all`` -> task ids in the protocol's order."""
     order = [task.id for task in protocol.tasks]
     valid = f"{', '.join(order)}, a range like {order[0]}-{order[-1]}, or all"
     wanted: set[str] = set()
@@ -41,10 +38,7 @@ def parse_tasks(text: str, *, protocol: Protocol) -> list[str]:
 
 
 def parse_seeds(text: str, *, protocol: Protocol) -> list[int]:
-    """``3``, ``0-19``, ``0,4,7`` or ``all`` -> seeds in the protocol's order.
-
-    Raises ConfigError for what is not a number and for seeds that the protocol does not have, naming those it has.
-    """
+    """``3``, ``0-19``, ``0,4,7`` or ``all`` -> seeds in the protocol's order."""
     order = protocol.randomization.seeds
     valid = f"{compact(order)}, as a list (0,4,7), a range (0-19), or all"
     wanted: set[int] = set()
@@ -74,12 +68,7 @@ def plan_trials(
     arguments: Mapping[str, str] | None = None,
     environment: Iterable[str] = (),
 ) -> list[TrialSpec]:
-    """Plan seed by seed, so that an interrupted run has whole sets of tasks.
-
-    Args:
-        policy: text of its ``PolicyRef``.
-        arguments, environment: what --policy-arg gives and the names that --policy-env lets pass.
-    """
+    """Plan seed by seed, so that an interrupted run has whole sets of tasks."""
     task_ids = list(tasks)
     alike = {"policy_arguments": dict(arguments or {}), "policy_environment": tuple(environment)}
     return [
@@ -90,13 +79,7 @@ def plan_trials(
 
 
 def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several: bool) -> list[TrialSpec]:
-    """Return the trials with the salt of their sensor noise, where their protocol has any and a salt is given.
-
-    Args:
-        one_of_several: whether the trials are a part of a run, whose other parts need the same salt.
-
-    Raises ConfigError for what is no salt, for one where there is no noise, and where a part has none.
-    """
+    """Return the trials with a salt of their sensor noise. ``one_of_several``: other parts of the run need the same."""
     noisy = specs[0].protocol.variation.sensor_noise
     if salt is None:
         if noisy and one_of_several and not specs[0].salt:
@@ -113,8 +96,7 @@ def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several:
 
 
 def check_not_trained_on(trained_on: Sequence[str], specs: Sequence[TrialSpec]) -> None:
-    """Raises ConfigError where a policy was trained, as its card says (``trained_on``), on a person of these trials.
-    Persons to train on are no exam, and pass."""
+    """Raises ConfigError where a policy was trained, as its card says, on a person of these trials."""
     for entry in trained_on:
         name, colon, seeds = entry.partition(":")
         for spec in specs:
@@ -161,27 +143,19 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """``2/4`` is the second of four parts. Raises ConfigError for anything else."""
         index, slash, count = (part.strip() for part in text.partition("/"))
         if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
             raise ConfigError(f"--shard {text}: {EXPECTED}")
         return cls(index=int(index), count=int(count))
 
     def of(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
-        """Return the trials of this part, neighbours in the order of the plan; parts differ by one trial at most.
-
-        Raises ConfigError where there are more parts than trials.
-        """
+        """Return the trials of this part, neighbours in the order of the plan; parts differ by one trial at most."""
         self._check_most(len(specs), "trials")
         begin, end = (len(specs) * k // self.count for k in (self.index - 1, self.index))
         return list(specs[begin:end])
 
     def every(self, cells: Sequence[Cell]) -> list[Cell]:
-        """Return the cells of a sweep that belong to this part, every ``count``-th one: 2/4 has the second, the sixth
-        and so on.
-
-        Raises ConfigError where there are more parts than cells.
-        """
+        """Return every ``count``-th cell of a sweep: 2/4 has the second, the sixth and so on."""
         self._check_most(len(cells), "cells")
         return list(cells[self.index - 1 :: self.count])
 
@@ -215,8 +189,7 @@ def check_protocol(protocol: Protocol) -> None:
 
 
 def check_rows(protocol: Protocol) -> None:
-    """Raises ConfigError for a metric, a limit pack, or an action of the protocol's gates that the scorer cannot use;
-    nothing is computed."""
+    """Raises ConfigError for a metric, limit pack or action of the gates that the scorer cannot use."""
     for action in protocol.gates.actions:
         behaviour_of(action, protocol.gates.set)
     protocol_sweeps(protocol)

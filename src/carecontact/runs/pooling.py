@@ -50,45 +50,32 @@ def task_of(trial_id: str) -> str:
 
 
 def share(k: int, n: int, unknown: int = 0) -> str:
-    """Return a count over the planned trials: ``9 of 18``, or ``9 to 12 of 18`` where three have no verdict.
-
-    Args:
-        n: trials with a verdict.
-    """
+    """Return a count, of ``n`` trials with a verdict: ``9 of 18``, or ``9 to 12 of 18`` where three have none."""
     return f"{k} to {k + unknown} of {n + unknown}" if unknown else f"{k} of {n}"
 
 
 def incomplete(n: int, unknown: Iterable[str]) -> str:
-    """Return ``incomplete, 15 of 18 planned trials have a verdict``; empty for a complete run.
-
-    Args:
-        n: trials with a verdict.
-        unknown: those without, as ``unjudged`` finds them.
-    """
+    """Return ``incomplete, 15 of 18 planned trials have a verdict``; empty for a complete run."""
     planned = n + len(list(unknown))
     have = counted(planned, "planned trial has", "planned trials have")
     return f"incomplete, {n} of {have} a verdict" if planned > n else ""
 
 
 def decides_force(scores: Iterable[TrialScore]) -> list[TrialScore]:
-    """Return the trials that count for exceedances of force limits: all but those in which the policy crashed before
-    any contact."""
+    """Return the trials that count for force limits: all but those in which the policy crashed before any contact."""
     return [s for s in scores if not s.crashed_untouched]
 
 
 def harness_errors(scores: Iterable[TrialScore]) -> list[dict[str, str]]:
-    """``trial_id`` and ``message`` of the trials in which the harness failed."""
     failed = [score for score in scores if not score.is_judged]
     return [{"trial_id": s.trial_id, "message": s.failure_message or "no reason recorded"} for s in failed]
 
 
 def with_names(scores: Iterable[TrialScore]) -> list[TrialScore]:
-    """Return the scores, with the name of the policy also where it crashed before it showed its card.
-
-    Otherwise, a server that answers one trial with silence would be taken for another policy, and the run could not be
-    counted. The name is the one that the same address showed in the other trials; where it showed several or none,
-    nothing is added.
-    """
+    """Return the scores, with the name of the policy also where it crashed before it showed its card. Otherwise, a
+    server that answers one trial with silence would be taken for another policy, and the run could not be counted. The
+    name is the one that the same address showed in the other trials; where it showed several or none, nothing is
+    added."""
     names: dict[tuple[object, ...], set[str]] = {}
     asked = [(score, (score.policy, *sorted(score.policy_arguments.items()))) for score in scores]
     for score, address in asked:
@@ -103,8 +90,7 @@ def with_names(scores: Iterable[TrialScore]) -> list[TrialScore]:
 
 
 def check_one_run(scores: Sequence[TrialScore]) -> None:
-    """Raises ConfigError if the scores are of several protocols, policies or worlds, or of a run and of an episode in
-    another program: their rates must not be pooled."""
+    """Raises ConfigError for scores of several protocols, policies or worlds, whose rates must not be pooled."""
     protocols = {f"{score.protocol_title} ({score.protocol_sha256[:12]})" for score in scores}
     for what, found in (("protocols", protocols), ("policies", {score.policy_title for score in scores})):
         if len(found) > 1:
@@ -120,18 +106,11 @@ def check_one_run(scores: Sequence[TrialScore]) -> None:
 
 
 def in_process(score: TrialScore) -> bool:
-    """Whether the trial was not run by a trial's worker (``recording.schema.Origin``), or on a person to train on,
-    whatever origin its recording claims."""
+    """Whether no worker of a run ran the trial, or it ran on a person to train on, whatever its recording claims."""
     return score.provenance.get("origin", "isolated") not in RANKED or score.world.get("salt") == TRAINING_SHA256
 
 
 def not_ranked(trial: str, origin: str) -> ConfigError:
-    """Return the error for a recording that stands beside no run.
-
-    Args:
-        trial: the recording, as the message names it.
-        origin: what it says of itself (``recording.schema.Origin``).
-    """
     if origin != "in-process":
         return ConfigError(
             f"{trial} is a demonstration, of a person on whom policies are trained. It can be scored, exported and "
@@ -145,10 +124,7 @@ def not_ranked(trial: str, origin: str) -> ConfigError:
 
 
 def check_ranked(scores: Iterable[TrialScore], place: str = "") -> None:
-    """Raises ConfigError for a trial that was recorded in-process, and for a demonstration.
-
-    ``place``: begins the message, such as a run.
-    """
+    """Raises ConfigError for an in-process trial and for a demonstration. ``place``: begins the message."""
     if (found := next((score for score in scores if in_process(score)), None)) is not None:
         raise not_ranked(f"{place}{found.trial_id}.h5", found.provenance.get("origin", "isolated"))
 
@@ -160,8 +136,7 @@ def world_part(score: TrialScore, what: str) -> str:
 
 
 def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
-    """Return the first part of the world in which two scores differ, and the two; None in one world. Bodies that a seed
-    draws are compared seed by seed."""
+    """Return the first part of the world in which two scores differ, and the two; of drawn bodies, at one seed."""
     first: dict[tuple[object, ...], TrialScore] = {}
     for score in scores:
         for what, value in {"salt": UNSALTED, **score.world}.items():

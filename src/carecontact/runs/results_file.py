@@ -34,11 +34,9 @@ LEVELS = ("success", "region_correct", "safety_gated")
 
 
 def rate(k: int, n: int, *, unknown: int = 0) -> dict[str, Any]:
-    """Return a count in percent with its Wilson interval; without trials, there is no percentage.
-
-    ``unknown`` further trials, whose verdict is not known, leave no percentage, but ``pc_between``, from all of them
-    failed to all of them passed, and an interval that covers those of both.
-    """
+    """Return a count in percent with its Wilson interval; without trials, there is no percentage. ``unknown`` further
+    trials, whose verdict is not known, leave no percentage, but ``pc_between``, from all of them failed to all of them
+    passed, and an interval that covers those of both."""
     least, most = wilson_interval(k, n + unknown), wilson_interval(k + unknown, n + unknown)
     percent, between = None, [0.0, 100.0]
     if least.estimate is not None and most.estimate is not None:
@@ -54,9 +52,7 @@ def within(score: TrialScore, gamma: float) -> bool:
 
 def exceedances(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
     """Return trials, failed ones too, with a touched segment above the safety gate or above the pain limit, and how
-    many of them were successes all the same. The percentages are of the trials that ``decides_force`` leaves.
-
-    ``unknown``: planned trials without a verdict."""
+    many of them were successes all the same. The percentages are of the trials that ``decides_force`` leaves."""
     scores = decides_force(scores)
     over = {
         "gate": [s for s in scores if s.over_limit],
@@ -84,15 +80,12 @@ def quadrants(scores: Iterable[TrialScore]) -> dict[str, int]:
 
 
 def valid_ratio(scores: Sequence[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
-    """Share of trials that have a trajectory to score. Coverage of the data, not success.
-
-    ``unknown``: planned trials without a verdict."""
+    """Share of trials that have a trajectory to score. Coverage of the data, not success."""
     return rate(sum(s.c4_motion_activity is not None for s in scores), len(scores), unknown=unknown)
 
 
 def harmless_share(scores: Sequence[TrialScore]) -> dict[str, Any]:
-    """Return the harmless trials (``harmless@1``), and ``of``: those with enough contact for it, of whose number the
-    percentages are."""
+    """Return the harmless trials (``harmless@1``), and ``of``: those with enough contact, of which percentages are."""
     found = [value for s in scores if (value := s.additional.get(HARMLESS)) is not None]
     return {**rate(round(sum(found)), len(found)), "of": len(found)}
 
@@ -173,10 +166,7 @@ def results(run: RunScores) -> dict[str, Any]:
 
 
 def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, Any]:
-    """Rates, medians and counts over those trials that are ``judged``; a metric pools the trials that it names.
-
-    ``unknown``: planned trials without a verdict, which leave every rate an interval.
-    """
+    """Rates, medians and counts over ``judged`` trials; ``unknown`` trials without a verdict widen the rates."""
     scores = judged(scores)
     n = len(scores)
     success = rate(sum(s.c3_success for s in scores), n, unknown=unknown)
@@ -222,8 +212,7 @@ AT_LEAST_ZERO = (
 
 
 def contradiction(score: TrialScore) -> str | None:
-    """Return a contradiction between the values of a score in words, which no scorer can have written together, or None
-    if there is none."""
+    """Return in words which values of a score no scorer can have written together, or None."""
     if score.trial_id != f"{score.task_id}-s{score.seed:03d}":
         return f"it says task {score.task_id}, seed {score.seed}"
     if score.safety_gated and not score.region_correct:
@@ -262,35 +251,24 @@ trial). In Python, an empty list takes thirty times as much memory as in a file.
 
 
 def read_bounded(path: Path, *, most: int = MAX_BYTES) -> bytes:
-    """Return the content of a file.
-
-    Raises ConfigError for one that is larger than ``most`` [bytes], or that is no file, such as a pipe, whose reader
-    would wait; OSError for one that cannot be read.
-    """
-    # Without waiting for the other end of a pipe.
-    at_once = getattr(os, "O_NONBLOCK", 0)
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as file:
-        regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
-        content = file.read(most + 1) if regular else b""
-    if not regular:
+    """Return the content of a file."""
+    # The reader of a pipe would wait.
+    if not stat.S_ISREG(path.stat().st_mode):
         raise ConfigError(f"{path} is not a file that can hold the results of a run")
+    with path.open("rb") as file:
+        content = file.read(most + 1)
     if len(content) > most:
         raise ConfigError(f"{path} has more than the {most >> 20} MB that it may have")
     return content
 
 
 def first_error(error: ValidationError) -> str:
-    """Return the place and the message of the first error."""
     first = error.errors()[0]
     return f"{'.'.join(map(str, first['loc'])) or 'content'}: {first['msg']}"
 
 
 def parse(text: bytes) -> Any:
-    """Return what JSON holds.
-
-    Raises ValueError for text that is not JSON, or that holds more lists, objects or values, or nests deeper, than the
-    files of a run do.
-    """
+    """Return what JSON holds."""
     # Brackets and commas inside of strings count as well: there are few.
     if text.count(b"[") + text.count(b"{") > MAX_CONTAINERS or text.count(b",") > MAX_VALUES:
         raise ValueError("it holds more values than a run can have")
@@ -347,10 +325,7 @@ def write_results(folder: Path | str, data: Mapping[str, Any]) -> Path:
 
 
 def pack_results(path: Path, run: RunScores) -> None:
-    """Write the content of a ``results.json`` packed with gzip, a tenth of its size; ``read_results`` reads both.
-
-    A file that already has this content stays as it is: other releases of zlib pack into other bytes.
-    """
+    """Write a packed ``results.json``, unless it is there: other releases of zlib pack into other bytes."""
     content = _as_bytes(results(run))
     with suppress(ConfigError, FileNotFoundError):
         if _unpacked(path) == content:
@@ -359,11 +334,7 @@ def pack_results(path: Path, run: RunScores) -> None:
 
 
 def read_results(path: Path | str) -> RunScores:
-    """Return the scores in a ``results.json``, packed with gzip or not, as they were written; nothing is computed
-    again.
-
-    Raises ConfigError for a file that cannot be read, contradicts itself or mixes protocols, policies or worlds.
-    """
+    """Return the scores in a ``results.json``, packed with gzip or not; nothing is computed again."""
     try:
         stored = _Results.model_validate(parse(_unpacked(Path(path))))
     except ValidationError as error:
@@ -384,8 +355,7 @@ def read_results(path: Path | str) -> RunScores:
 
 
 def skipped_before(folder: Path) -> set[str]:
-    """Return names of the recordings that the last scoring of a folder skipped; none where there is no result to
-    read."""
+    """Return the names of the recordings that the last scoring of a folder skipped."""
     try:
         return set(read_results(folder / RESULTS_NAME).skipped)
     except (ConfigError, OSError):
@@ -445,10 +415,7 @@ def remember(folder: Path, baselines: Sequence[Path]) -> None:
 
 
 def remembered(folder: Path) -> dict[str, Path]:
-    """Name of each baseline as the file has it -> its place; empty without a file.
-
-    Raises ConfigError for a file that is damaged.
-    """
+    """Name of each baseline as the file has it -> its place; empty without a file."""
     path = folder / BASELINES
     if not path.is_file():
         return {}

@@ -61,8 +61,7 @@ def score_file(path: Path) -> Found:
 
 
 def score_files(paths: Sequence[Path], *, jobs: int) -> Iterator[Found]:
-    """Score recordings and return the scores in the order of ``paths``. Raises RecordingError if a process died, which
-    no recording should bring about."""
+    """Score recordings and return the scores in the order of ``paths``."""
     if jobs <= 1:
         yield from map(score_file, paths)
         return
@@ -87,10 +86,7 @@ class ScoringPool:
         self._started: list[_Process] = []
 
     def submit(self, path: Path, *, then: Callable[[TrialScore], None] = lambda score: None) -> Future[Found]:
-        """Return what will have the result of ``score_file``, or ScoringLostError.
-
-        ``then``: called with a score before the future has it, in the pool's thread.
-        """
+        """Return what will have the result of ``score_file``. ``then``: gets a score before, in the pool's thread."""
 
         def score() -> Found:
             found = self._score(path)
@@ -137,36 +133,22 @@ class Scorer(ScoringPool):
     """Scores each recording that it is given once, so that a run of many trials does not end with scoring."""
 
     def __init__(self, cores: int, *, trials: int) -> None:
-        """
-        Args:
-            cores: number of cores that trials and scores share.
-            trials: how many there may be.
-        """
+        """``cores``: that trials and scores share; ``trials``: how many there may be."""
         super().__init__(max(1, cores // SHARE) if trials >= FEW else 0)
         self._given: dict[Path, Future[Found]] = {}
-        self._begun: list[Future[Found]] = []
 
     def give(self, path: Path, *, then: Callable[[TrialScore], None] = lambda score: None) -> None:
-        """Score a recording that will not change any more, without waiting. Where a process died, it stays unscored.
-
-        Args:
-            then: called with the score, in another thread.
-        """
+        """Score a recording that will not change any more, without waiting; ``then`` gets the score in a thread."""
         self._given[path] = self.submit(path, then=then)
-        self._begun.append(self._given[path])
 
     def fill(self, paths: Iterable[Path]) -> None:
-        """Give those recordings that it does not have."""
         for path in paths:
             if path not in self._given:
                 self.give(path)
 
     def take(self, path: Path) -> ScoredFile | None:
-        """Wait for the score of a recording and forget it.
-
-        None where it was not given, could not be scored, or the file has become another one: score it then as if there
-        were no ``Scorer``, which also says what is wrong.
-        """
+        """Wait for the score of a recording and forget it. None where it was not given, could not be scored, or the
+        file has become another one: score it then as if there were no ``Scorer``, which also says what is wrong."""
         found = _score_in(self._given.pop(path, None))
         with suppress(RecordingError):
             if found is not None and stored_sha256(path) == found.score.recording_sha256:
@@ -181,7 +163,7 @@ class Scorer(ScoringPool):
 
     def wait(self) -> None:
         """Wait until every recording is scored and its score handed on."""
-        for each in self._begun:
+        for each in list(self._given.values()):
             _score_in(each)
 
 
@@ -205,7 +187,6 @@ class _Process:
         self._line.send(sys.path)
 
     def score(self, path: Path) -> Found:
-        """Raises EOFError or OSError if the process is gone, and whatever scoring raises."""
         self._line.send(path)
         found: Found | Exception = self._line.recv()
         if isinstance(found, Exception):

@@ -26,17 +26,9 @@ from carecontact.stats import median
 def score_run(
     folder: Path | str, *, jobs: int = 1, scored: Callable[[Path], ScoredFile | None] = lambda path: None
 ) -> RunScores:
-    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs`` and ``scored``.
-
-    A file that cannot be read or scored is skipped with the reason, and so is one that is not named after its trial or
-    ends in ``.H5``. Raises ConfigError if the folder does not exist, or if the trials are of more than one protocol,
-    policy or world; RecordingError if a process that scored died.
-
-    Args:
-        jobs: processes; more than one are started afresh, so that a script needs its ``__main__`` guarded and metrics
-            of another package have to come by its entry points.
-        scored: the score that a recording has already got, or None to compute it.
-    """
+    """Score every ``*.h5`` of a run's folder; writes nothing. The result does not depend on ``jobs`` and ``scored``. A
+    file that cannot be read or scored is skipped with the reason, and so is one that is not named after its trial or
+    ends in ``.H5``."""
     folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; name the --out of a run")
@@ -71,9 +63,6 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1, otherwise: s
             written.
         jobs: processes that compute.
         otherwise: what else than to score again the caller offers, for messages: ``", or add --rescore"``.
-
-    Raises ConfigError for a folder or file that is not there or cannot be read, and for a ``results.json`` that
-    ``stale`` finds something about; the message names the command that writes a new one.
     """
     results, remedy = run / RESULTS_NAME, f"run `carecontact report --rescore {shlex.quote(str(run))}`{otherwise}"
     if run.is_file():
@@ -103,12 +92,9 @@ def read_scores(run: Path, *, rescore: bool = False, jobs: int = 1, otherwise: s
 
 def stale(folder: Path, run: RunScores) -> list[str]:
     """Return how the recordings in a folder differ from those that were scored, a few words for each; empty if they
-    agree.
-
-    Every recording must be one that was scored, with the canonical hash that it had then, and none may be gone. The
-    hash is the one that each file says it has: arrays are not read, so damage inside them stays for those who read
-    them. A recording that was skipped must still be one that cannot be scored.
-    """
+    agree. Every recording must be one that was scored, with the canonical hash that it had then, and none may be gone.
+    The hash is the one that each file says it has: arrays are not read, so damage inside them stays for those who read
+    them. A recording that was skipped must still be one that cannot be scored."""
     hashes = {f"{score.trial_id}.h5": score.recording_sha256 for score in run.scores}
     files = {path.name: path for path in (*sorted(folder.glob("*.h5")), *misnamed(folder))}
     found = [f"{name} {why}" for name, path in files.items() if (why := _difference(path, hashes, run))]
@@ -134,8 +120,7 @@ def lacking(run: RunScores) -> list[str]:
 
 
 def beside_plan(folder: Path, run: RunScores) -> RunScores:
-    """Return the run with the trials that its manifest plans, here and in other parts of the run, and that have no
-    score; unchanged where there is no manifest."""
+    """Return the run with the trials that its manifest plans, here and in other parts, and that have no score."""
     manifest = read_manifest(folder)
     if manifest is None:
         return run
@@ -158,7 +143,6 @@ class Appended:
     metrics: list[str]
     """Ids that some trial did not have yet; empty if there was nothing to do, and then nothing was written."""
     trials: int
-    """Trials that got one or more."""
     not_listed: list[str]
     """Recordings in the folder that the result does not contain; appending adds no trials."""
     gone: list[str]
@@ -167,11 +151,7 @@ class Appended:
 
 def append_metrics(folder: Path | str) -> Appended:
     """Compute the registered metrics that a run's ``results.json`` lacks and add them, per trial and as medians; no
-    digit of what it holds already changes.
-
-    Every trial gets them or none: nothing is written on an error. Raises ConfigError if there is no result to add to
-    or if a recording is not the one that was scored; RecordingError if one cannot be read.
-    """
+    digit of what it holds already changes. Every trial gets them or none: nothing is written on an error."""
     folder = Path(folder)
     path = folder / RESULTS_NAME
     data = _read(path)

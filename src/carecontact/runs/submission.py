@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
-from typing import Any
 
 from carecontact.errors import ConfigError, counted
 from carecontact.policies.registry import role_of
@@ -15,50 +14,38 @@ from carecontact.protocol.load import load_levels, shipped_protocols
 from carecontact.protocol.lock import frozen_state
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording import Header, read_header
-from carecontact.runs.identity import identity_of
+from carecontact.runs.identity import changed, identity_of
 from carecontact.runs.manifest import MANIFEST, Manifest, read_manifest
 from carecontact.runs.plan import check_not_trained_on, compact
 from carecontact.runs.pooling import RunScores, check_ranked
 from carecontact.runs.results_file import RESULTS_NAME
-from carecontact.runs.scoring import beside_plan, read_scores, score_run
+from carecontact.runs.scoring import read_scores
 
 TEST_SEEDS = range(1000, 1027)
 """Seeds of the exam whose results are reported (docs/number.md)."""
 SAME_REL = 1e-6
 """Relative difference of two scores of one recording that counts as the rounding of another machine."""
 NAMED = 3
-"""Most trials that a message names."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Submission:
-    """A run that passed every check."""
-
     folder: Path
     manifest: Manifest
     protocol: Protocol
     ranked: bool
     """Whether the protocol equals its lock; results on a draft stand apart."""
     run: RunScores
-    """The scores, computed from the recordings."""
     header: Header
     """The header of the first trial that has a card."""
 
 
 def check_submission(folder: Path, *, jobs: int = 1) -> Submission:
-    """Check a finished run of the whole exam, and compute all of its scores again.
-
-    The checks, in this order: a shipped protocol without changes; a policy that is neither a floor nor a ceiling; this
-    release and its assets; all tasks with ``TEST_SEEDS``, published or behind a committed salt; a recording of each
-    trial, by a trial's worker; a verdict on each; scores that follow from the recordings; and no person of the exam
-    among those on whom the policy was trained, as far as its card says.
-
-    Args:
-        jobs: processes that compute scores.
-
-    Raises ConfigError, which names the run, what is wrong and what would be valid; RecordingError for a recording whose
-    header cannot be read.
-    """
+    """Check a finished run of the whole exam, and compute all of its scores again. The checks, in this order: a shipped
+    protocol without changes; a policy that is neither a floor nor a ceiling; this release and its assets; all tasks
+    with ``TEST_SEEDS``, published or behind a committed salt; a recording of each trial, by a trial's worker; a verdict
+    on each; scores that follow from the recordings; and no person of the exam among those on whom the policy was
+    trained, as far as its card says."""
     manifest = read_manifest(folder)
     if manifest is None:
         raise ConfigError(f"{folder} is not a run: it holds no {MANIFEST}; name the --out of `carecontact run`")
@@ -87,8 +74,8 @@ def _exam(folder: Path, manifest: Manifest) -> Protocol:
         raise ConfigError(
             f"{folder} is a run of {manifest.protocol.id}, which is no exam of the board; valid: {', '.join(exams)}"
         )
-    if changed := manifest.protocol.overrides:
-        given = ", ".join(f"{field} = {value}" for field, value in changed.items())
+    if overrides := manifest.protocol.overrides:
+        given = ", ".join(f"{field} = {value}" for field, value in overrides.items())
         raise ConfigError(f"{folder} is a run of a changed protocol ({given}); run {protocol.name} as it is")
     if protocol.sha256 != manifest.protocol.sha256:
         here, there = protocol.sha256[:12], manifest.protocol.sha256[:12]
@@ -130,13 +117,13 @@ def _check_release(folder: Path, manifest: Manifest, protocol: Protocol, headers
         TrialSpec(protocol=protocol, task_id=protocol.tasks[0].id, seed=0, policy="hover"), search_path=()
     )
     held = manifest.identity
-    changed = {MANIFEST: here.differences(versions=held.versions, sha256=held.sha256, world=held.world)}
+    differing = {MANIFEST: here.differences(versions=held.versions, sha256=held.sha256, world=held.world)}
     for trial, header in headers.items():
         differ = here.differences(versions=header.versions, sha256=header.sha256, world=header.identity)
-        changed[f"{trial}.h5"] = differ
-    if name := next((name for name, differ in changed.items() if differ), ""):
+        differing[f"{trial}.h5"] = differ
+    if name := next((name for name, differ in differing.items() if differ), ""):
         raise ConfigError(
-            f"{folder}: {name} is of another release ({'; '.join(changed[name])}); run the policy with this release, "
+            f"{folder}: {name} is of another release ({'; '.join(differing[name])}); run the policy with this release, "
             "or submit with the release of the run"
         )
 
@@ -144,15 +131,15 @@ def _check_release(folder: Path, manifest: Manifest, protocol: Protocol, headers
 def _scores(folder: Path, manifest: Manifest, protocol: Protocol, *, jobs: int) -> RunScores:
     """Return the scores of the recordings, once the stored ones equal them."""
     stored = read_scores(folder)
-    run = beside_plan(folder, score_run(folder, jobs=jobs))
+    run = read_scores(folder, rescore=True, jobs=jobs)
     if run.incomplete:
         trial, why = next(iter(run.unjudged.items()))
         raise ConfigError(f"{folder}: {run.incomplete} ({trial}: {why}); {run.completing}")
     check_ranked(run.scores, f"{folder}/")
     written = {score.trial_id: score.model_dump(mode="json") for score in stored.scores}
     for score in run.scores:
-        found = next(_differences("", written.get(score.trial_id), score.model_dump(mode="json")), "")
-        if found:
+        rows = changed(written.get(score.trial_id), score.model_dump(mode="json"))
+        if found := next((text for row in rows if (text := _difference(*row))), ""):
             raise ConfigError(
                 f"{folder / RESULTS_NAME} does not follow from the recordings: {score.trial_id}: {found}; "
                 f"`carecontact report --rescore {shlex.quote(str(folder))}` writes the scores of the recordings"
@@ -166,16 +153,13 @@ def _scores(folder: Path, manifest: Manifest, protocol: Protocol, *, jobs: int) 
     return run
 
 
-def _differences(place: str, stored: Any, again: Any) -> Iterator[str]:
-    """Yield where two scores of one recording differ by more than rounding, and how."""
-    if isinstance(stored, dict) and isinstance(again, dict):
-        for key in dict.fromkeys((*again, *stored)):
-            yield from _differences(f"{place}.{key}".lstrip("."), stored.get(key), again.get(key))
-    elif isinstance(stored, float) and isinstance(again, float):
-        if not isclose(stored, again, rel_tol=SAME_REL, abs_tol=1e-9):
-            yield f"{place} is {stored:g}, and {again:g} when it is computed again"
-    elif stored != again:
-        yield f"{place or 'its scores'} is {stored!s:.60}, and {again!s:.60} when it is computed again"
+def _difference(place: str, stored: object, again: object) -> str:
+    """Return how two values of one recording differ, if by more than rounding."""
+    if isinstance(stored, float) and isinstance(again, float):
+        if isclose(stored, again, rel_tol=SAME_REL, abs_tol=1e-9):
+            return ""
+        return f"{place} is {stored:g}, and {again:g} when it is computed again"
+    return f"{place or 'its scores'} is {stored!s:.60}, and {again!s:.60} when it is computed again"
 
 
 def _some(trials: set[str]) -> str:

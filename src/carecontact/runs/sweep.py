@@ -25,7 +25,6 @@ from carecontact.runs.manifest import with_salt
 from carecontact.runs.plan import check_protocol, check_rows, parse_seeds, parse_tasks, plan_trials, with_noise_salt
 
 AXIS = "factor"
-"""Name of the axis in tables."""
 NONE, ALL = "none", "all"
 """The easy level, and the hard one."""
 Fields = Mapping[str, object]
@@ -51,9 +50,6 @@ def factor_protocols(
         groups: factor -> the dotted fields that belong together; every other field in which the levels differ is a
             factor of its own, named by its last part.
         place: how messages name the plan's table.
-
-    Raises ConfigError, which begins with ``place``, for a field in which the levels do not differ, two factors of one
-    name, and a mixture that is no valid protocol.
     """
     easy, hard = _fields(low), _fields(high)
     differ = [path for path in hard if hard[path] != easy.get(path)]
@@ -116,17 +112,12 @@ class PlannedPolicy(_Table):
     """A policy with the options that ``carecontact run`` has for it."""
 
     policy: Annotated[str, Field(min_length=1)]
-    """The policy as --policy takes it."""
     label: str = ""
     """Name in the tables; default: the policy with its arguments."""
     arguments: dict[str, Value] = {}
-    """Arguments as --policy-arg gives them."""
     environment: list[str] = []
-    """Variables as --policy-env names them."""
     read: list[str] = []
-    """Paths as --policy-read names them."""
     write: list[str] = []
-    """Paths as --policy-write names them."""
     language: str | None = None
     jobs: Annotated[int | None, Field(ge=1)] = None
     """Most trials of this policy at once, such as the connections that its server takes; default: no limit."""
@@ -136,7 +127,6 @@ class PlannedFactors(_Table):
     """Two levels, and in between each factor switched on alone and off alone (``factor_protocols``)."""
 
     low: str
-    """The easy protocol, as the axis ``protocol`` names one."""
     high: str
     groups: dict[str, Values] = {}
     """Factor -> the dotted fields that belong together; every other field in which the two differ is its own factor."""
@@ -222,7 +212,6 @@ class Cell:
     """One run of a plan: a policy in a place."""
 
     policy: int
-    """The policy's number in the plan."""
     label: str
     """The policy's name in tables."""
     place: Place
@@ -239,13 +228,7 @@ class Cell:
 
 
 def places_of(plan: Plan, *, named: str) -> list[Place]:
-    """Return every combination, in the order of the plan's axes.
-
-    Args:
-        named: how messages name the plan.
-
-    Raises ConfigError naming the axis, the value and what is valid.
-    """
+    """Return every combination, in the order of the plan's axes. ``named``: how messages name the plan."""
     axes = [name for name in plan.axes if name not in ("protocol", "level")]
     places: list[Place] = []
     for shown, whole in _bases(plan, named):
@@ -308,12 +291,7 @@ def cells_of(
     *,
     salt: str = "",
 ) -> list[Cell]:
-    """Return one cell for each place and policy, place by place.
-
-    Args:
-        policies: label, text of the reference, arguments and names of variables of each policy of the plan.
-        salt: the secret of a salted run.
-    """
+    """Return a cell for each place and policy. ``policies``: label, reference, arguments, variables of each."""
     labels = [label for label, *_ in policies]
     if twice := next((label for label in labels if labels.count(label) > 1), None):
         raise ConfigError(f"{twice!r} is there twice; give each a label of its own")
@@ -327,10 +305,7 @@ def cells_of(
 
 
 def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
-    """Return the cells with one salt of the sensor noise in all those whose protocol has any.
-
-    Raises ConfigError where none has, and as ``with_noise_salt``.
-    """
+    """Return the cells with one salt of the sensor noise in all those whose protocol has any."""
     if not any(cell.place.protocol.variation.sensor_noise for cell in cells):
         raise ConfigError("--noise-salt: no protocol of this plan has sensor noise; leave the option out")
     return [
@@ -342,7 +317,6 @@ def with_noise(cells: Sequence[Cell], salt: str) -> list[Cell]:
 
 
 def _along(protocol: Protocol, axis: str, value: Value) -> Protocol:
-    """Return the protocol with one value of an axis."""
     if axis == "friction":
         if isinstance(value, str) and value not in SKIN_STATES:
             raise ConfigError(f"expected a coefficient, or {', '.join(SKIN_STATES)}, got {value!r}")

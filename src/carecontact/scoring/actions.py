@@ -114,11 +114,14 @@ class GentleTouch(Held[GentleTouchGate]):
     def holding(self, contact: Contact, gate: GentleTouchGate) -> Mask:
         return contact.tool_on
 
+    def gently_s(self, contact: Contact, gate: GentleTouchGate) -> float:
+        return longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
+
     def reached(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> float:
-        return longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s / gate.duration_s
+        return self.gently_s(contact, gate) / gate.duration_s
 
     def shortfall(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> str:
-        held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
+        held = self.gently_s(contact, gate)
         return (
             f"the longest hold with {gate.least_n:g} to {gate.most_n:g} N was {held:.2f} s of {gate.duration_s:g} s; "
             f"the tool's longest contact was {result.longest_on_s:.2f} s"
@@ -126,13 +129,11 @@ class GentleTouch(Held[GentleTouchGate]):
         )
 
     def parts(self, contact: Contact, gate: GentleTouchGate, result: Gate) -> list[GatePart]:
-        held = longest_run(held_in_band(contact, gate.least_n, gate.most_n)) * contact.dt_s
+        held, least_s = self.gently_s(contact, gate), gate.duration_s
         name = f"Touched without interruption with {gate.least_n:g} to {gate.most_n:g} N"
         return [
-            result.time_part(
-                "Touched the named region or beside it with the tool without interruption", gate.duration_s
-            ),
-            GatePart(name=name, needed=f"{gate.duration_s:g} s", reached=f"{held:.2f} s", met=result.band_met),
+            result.time_part("Touched the named region or beside it with the tool without interruption", least_s),
+            GatePart(name=name, needed=f"{least_s:g} s", reached=f"{held:.2f} s", met=result.band_met),
         ]
 
     def progress(self, score: TrialScore) -> str:
@@ -165,9 +166,11 @@ P = TypeVar("P", bound=PressGate)
 
 
 class Press(Behaviour[P]):
-    """What both pushes have in common: a hold with a least force."""
+    """What both pushes have in common: a hold with a least force, and a least distance that the wrist moves."""
 
     moves_the_person = True
+    least_moved: ClassVar[str]
+    """Field of the gate with that distance."""
 
     def holding(self, contact: Contact, gate: P) -> Mask:
         return contact.neighbourhood_on & (contact.neighbourhood_force >= gate.force_n)
@@ -175,9 +178,9 @@ class Press(Behaviour[P]):
     def lost(self, contact: Contact, gate: P, result: Gate) -> bool:
         return let_go(contact, self.holding(contact, gate), gate.duration_s / 2)
 
-    def held(self, gate: P, result: Gate) -> float:
-        """Longest hold over the required one."""
-        return result.longest_on_s / gate.duration_s
+    def requested(self, gate: P, asked: CommandedContact) -> str | None:
+        enough = asked.hold_s >= gate.duration_s and asked.way_m >= getattr(gate, self.least_moved)
+        return f"{asked.hold_s:.2f} s and {mm(asked.way_m)} of way there" if enough else None
 
     def hold_part(self, contact: Contact, gate: P, result: Gate) -> GatePart:
         name = f"Pressed with at least {gate.force_n:g} N without interruption"
@@ -186,6 +189,7 @@ class Press(Behaviour[P]):
 
 class PushFromOnset(Press[PushFromOnsetGate]):
     gate = PushFromOnsetGate
+    least_moved = "least_wrist_m"
     by_tool = True
     harder = PushFromOnsetGate(force_n=3.0, duration_s=1.0, least_wrist_m=0.020, most_wrist_m=0.060)
     sweeps = (
@@ -218,11 +222,8 @@ class PushFromOnset(Press[PushFromOnsetGate]):
     def reached(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> float:
         moved = wrist_from_onset(contact)
         # Once it has moved too far, nothing makes up for it.
-        return min(self.held(gate, result), moved / gate.least_wrist_m) if moved <= gate.most_wrist_m else 0.0
-
-    def requested(self, gate: PushFromOnsetGate, asked: CommandedContact) -> str | None:
-        enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.least_wrist_m
-        return f"{asked.hold_s:.2f} s and {mm(asked.way_m)} of way there" if enough else None
+        held = result.longest_on_s / gate.duration_s
+        return min(held, moved / gate.least_wrist_m) if moved <= gate.most_wrist_m else 0.0
 
     def shortfall(self, contact: Contact, gate: PushFromOnsetGate, result: Gate) -> str:
         return (
@@ -250,6 +251,7 @@ class PushFromOnset(Press[PushFromOnsetGate]):
 
 class Push(Press[PushGate]):
     gate = PushGate
+    least_moved = "wrist_displacement_m"
     sets: ClassVar = {"exam": PushFromOnset()}
     sweeps = (
         Sweep(name="push_force_n", field="force_n", values=(1.0, 3.0, 5.0), title="Push: force", unit="N"),
@@ -266,11 +268,7 @@ class Push(Press[PushGate]):
         )
 
     def reached(self, contact: Contact, gate: PushGate, result: Gate) -> float:
-        return min(self.held(gate, result), result.wrist_m / gate.wrist_displacement_m)
-
-    def requested(self, gate: PushGate, asked: CommandedContact) -> str | None:
-        enough = asked.hold_s >= gate.duration_s and asked.way_m >= gate.wrist_displacement_m
-        return f"{asked.hold_s:.2f} s and {mm(asked.way_m)} of way there" if enough else None
+        return min(result.longest_on_s / gate.duration_s, result.wrist_m / gate.wrist_displacement_m)
 
     def shortfall(self, contact: Contact, gate: PushGate, result: Gate) -> str:
         return (
@@ -281,11 +279,11 @@ class Push(Press[PushGate]):
     def parts(self, contact: Contact, gate: PushGate, result: Gate) -> list[GatePart]:
         return [
             self.hold_part(contact, gate, result),
-            GatePart(
-                name="Distance the wrist moved while the arm is touched",
-                needed=f"at least {mm(gate.wrist_displacement_m)}",
-                reached=exact_mm(result.wrist_m),
-                met=result.progress_met,
+            GatePart.least(
+                "Distance the wrist moved while the arm is touched",
+                mm(gate.wrist_displacement_m),
+                exact_mm(result.wrist_m),
+                result.progress_met,
             ),
         ]
 
@@ -325,11 +323,8 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
         gentle = share is not None and share >= gate.band_share
         if (foam := FoamCleaning.of(contact)) is not None:
             return Judgement(time_met=True, progress_met=foam.met, band_met=gentle)
-        return Judgement(
-            time_met=True,
-            progress_met=found.passed_m(gate.passes, 0.0) >= gate.passed_m,
-            band_met=gentle and found.passed_m(gate.passes, gate.least_n) >= gate.passed_m,
-        )
+        passed, firmly = (found.passed_m(gate.passes, least_n) >= gate.passed_m for least_n in (0.0, gate.least_n))
+        return Judgement(time_met=True, progress_met=passed, band_met=gentle and firmly)
 
     def reached(self, contact: Contact, gate: ScrubPassesGate, result: Gate) -> float:
         found = wiping(contact)
@@ -365,22 +360,18 @@ class ScrubPasses(Behaviour[ScrubPassesGate]):
         found = wiping(contact)
         passed, firmly = found.passed_m(gate.passes, 0.0), found.passed_m(gate.passes, gate.least_n)
         share = found.share_in_band(gate.least_n, gate.most_n)
-        length = f"Length of the region passed {gate.passes:g} times"
-        reached = "the tool never slid" if share is None else f"{share:.1%}"
-        gentle = share is not None and share >= gate.band_share
-        sliding = f"Share of the sliding with {gate.least_n:g} to {gate.most_n:g} N"
-        in_band = GatePart.least(sliding, f"{gate.band_share:.0%}", reached, gentle)
+        name = f"Share of the sliding with {gate.least_n:g} to {gate.most_n:g} N"
+        reached, gentle = (
+            ("the tool never slid", False) if share is None else (f"{share:.1%}", share >= gate.band_share)
+        )
+        in_band = GatePart.least(name, f"{gate.band_share:.0%}", reached, gentle)
         if (foam := FoamCleaning.of(contact)) is not None:
             name = f"Share of the foam that the tool passed {PASSES} times with at least {LEAST_MMHG:g} mmHg"
             return [GatePart.least(name, f"{foam.least:.0%}", f"{foam.share:.1%}", foam.met), in_band]
+        name, needed = f"Length of the region passed {gate.passes:g} times with", mm(gate.passed_m)
         return [
-            GatePart.least(f"{length} with any force", mm(gate.passed_m), exact_mm(passed), result.progress_met),
-            GatePart.least(
-                f"{length} with at least {gate.least_n:g} N",
-                mm(gate.passed_m),
-                exact_mm(firmly),
-                firmly >= gate.passed_m,
-            ),
+            GatePart.least(f"{name} any force", needed, exact_mm(passed), result.progress_met),
+            GatePart.least(f"{name} at least {gate.least_n:g} N", needed, exact_mm(firmly), firmly >= gate.passed_m),
             in_band,
         ]
 
@@ -446,25 +437,30 @@ class Scrub(Behaviour[ScrubGate]):
         )
 
     def parts(self, contact: Contact, gate: ScrubGate, result: Gate) -> list[GatePart]:
-        best = result.best
-        share, stroke, extent, turns = (
-            (0.0, 0.0, 0.0, 0) if best is None else (best.on_share, best.stroke_m, best.extent_m, best.reversals)
+        best, any_contact = result.best or NO_EPISODE, result.best is not None
+        share, stroke, extent, turns = best.on_share, best.stroke_m, best.extent_m, best.reversals
+        rows = (
+            (
+                "Share of the contact's time that the tool touches",
+                gate.on_share,
+                share,
+                "{:.0%}".format,
+                "{:.1%}".format,
+            ),
+            ("Distance the tool moved along the skin", gate.stroke_m, stroke, mm, exact_mm),
+            ("Length of the region that it covers", gate.extent_m, extent, mm, exact_mm),
+            ("Turns of the tool", gate.reversals, turns, str, str),
         )
-        touches, turned = best is not None and share >= gate.on_share, best is not None and turns >= gate.reversals
-        name = "Share of the contact's time that the tool touches"
         return [
-            GatePart.least(name, f"{gate.on_share:.0%}", f"{share:.1%}", touches),
-            GatePart.least(
-                "Distance the tool moved along the skin", mm(gate.stroke_m), exact_mm(stroke), stroke >= gate.stroke_m
-            ),
-            GatePart.least(
-                "Length of the region that it covers", mm(gate.extent_m), exact_mm(extent), extent >= gate.extent_m
-            ),
-            GatePart.least("Turns of the tool", str(gate.reversals), str(turns), turned),
+            GatePart.least(name, whole(least), exact(reached), any_contact and reached >= least)
+            for name, least, reached, whole, exact in rows
         ]
 
     def progress(self, score: TrialScore) -> str:
         return f"stroke {mm(score.stroke_m)}, extent {mm(score.extent_m)}, {reversals(score.reversals)}"
+
+
+NO_EPISODE = Episode(start=0, stop=0, on_share=0.0, stroke_m=0.0, extent_m=0.0, reversals=0)
 
 
 def _scrubbed(gate: ScrubGate, found: Episode | CommandedContact) -> bool:

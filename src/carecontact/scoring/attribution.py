@@ -19,9 +19,9 @@ from carecontact.scoring.commanded import (
     noted_reason,
     noted_subtasks,
 )
-from carecontact.scoring.conduct import broken
 from carecontact.scoring.contact import Contact, faint_press, runs
 from carecontact.scoring.foam import FoamCleaning, place_share
+from carecontact.scoring.metrics.success import broken
 from carecontact.scoring.result import Attribution, FailureMode
 from carecontact.scoring.verdict import farthest_beyond
 
@@ -43,9 +43,8 @@ class Sight:
     """Median horizontal error of the places that they led to; None where none was computed"""
 
 
-def sight(contact: Contact, near_m: float) -> Sight:
-    """Count the views; none counts where the region's row names no joints by which it could be found. ``near_m``:
-    horizontal error up to which a computed place counts as the region."""
+def sight(contact: Contact) -> Sight:
+    """Count the views. A computed place counts as the region up to a horizontal error of NEAR_REGION_M."""
     rows, region = perception_errors(contact.recording), contact.task.region
     names = REGIONS[region].sight_joints
     if rows is None or not len(rows.camera) or not names:
@@ -55,7 +54,7 @@ def sight(contact: Contact, near_m: float) -> Sight:
     column = contact.recording.header.regions.index(region)
     error = np.linalg.norm(rows.target_error_m[:, column, :2].astype(np.float64), axis=1)
     if set(modalities(contact)) >= LOCATED:
-        found = error <= near_m
+        found = error <= NEAR_REGION_M
     else:
         found = np.isfinite(rows.landmark_error_px[:, joints]).all(axis=1) | (rows.human_iou >= PERSON_IOU)
     computed = error[np.isfinite(error) & visible]
@@ -84,19 +83,18 @@ VISION = ("rgb", "depth", "points", "masks", "landmarks")
 
 
 def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
-    """Return the cause of a failed trial and one sentence of evidence.
-
-    Perception is blamed only where it is shown: the path was aimed beside the region, and the region could be seen.
-    Aimed above the region but too high, or at a place that the policy's own notes show it chose, is planning.
-
-    Raises RecordingError for notes or perception errors that are malformed.
-    """
+    """Return the cause of a failed trial and one sentence of evidence. Perception is blamed only if the path was aimed
+    beside a region that could be seen, unless the policy's notes show that it chose that place."""
     if mode == "process_failure":
         return "process", _process_evidence(contact)
     if mode == "safety_truncation":
         return "safety", _safety_evidence(contact)
     if mode == "joint_beyond_range":
-        return "safety", _joint_evidence(contact)
+        joint, beyond_rad, time_s = farthest_beyond(contact.recording)
+        return "safety", (
+            f"The {joint.replace('_', ' ')} was {beyond_rad:.3f} rad beyond its range at {time_s:.3f} s; "
+            f"the protocol allows {contact.protocol.gates.joint_beyond_rad:.3f} rad."
+        )
     cause, evidence = _of_contact(contact, gate, mode)
     return cause, f"{evidence} {_by_part(contact)}" if mode == "not_by_tool" else evidence
 
@@ -104,12 +102,12 @@ def attribute(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribut
 def _of_contact(contact: Contact, gate: Gate, mode: FailureMode) -> tuple[Attribution, str]:
     path = commanded_path(contact)
     if path is None:
-        seen, reason = sight(contact, NEAR_REGION_M), noted_reason(contact)
+        seen, reason = sight(contact), noted_reason(contact)
         noted = f' The policy noted: "{reason}".' if reason else ""
         cause: Attribution = "perception" if seen.visible and not seen.found else "planning"
         return cause, f"{NO_MOTION}; {_views(contact, seen)}.{noted}"
     if path.closest_m > NEAR_REGION_M and path.beside_m > NEAR_REGION_M:
-        return _aimed_elsewhere(contact, path, sight(contact, NEAR_REGION_M))
+        return _aimed_elsewhere(contact, path, sight(contact))
     return _aimed_right(contact, gate, mode, path)
 
 
@@ -226,11 +224,3 @@ def _safety_evidence(contact: Contact) -> str:
     warnings = "; ".join(contact.recording.header.solver_warnings) or "no warning kept"
     peak = float(contact.force_norm.max(initial=0.0))
     return f"{SOLVER} ({warnings}) at a peak force of {peak:.1f} N."
-
-
-def _joint_evidence(contact: Contact) -> str:
-    joint, beyond_rad, time_s = farthest_beyond(contact.recording)
-    return (
-        f"The {joint.replace('_', ' ')} was {beyond_rad:.3f} rad beyond its range at {time_s:.3f} s; "
-        f"the protocol allows {contact.protocol.gates.joint_beyond_rad:.3f} rad."
-    )

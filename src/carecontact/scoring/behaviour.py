@@ -78,7 +78,7 @@ class Gate(Judgement):
     wrist_m: float
     wrist_any_m: float
     conduct: tuple[GatePart, ...] = ()
-    """What the protocol requires of a trial of any action, all of which a success meets (``scoring.conduct``)."""
+    """What the protocol requires of a trial of any action, all met by a success (``scoring.metrics.success``)."""
 
     @property
     def action_met(self) -> bool:
@@ -98,8 +98,7 @@ class Gate(Judgement):
 
 @contextmanager
 def blamed_on(what: str, trial_id: str) -> Generator[None]:
-    """Any error inside the block that is not carecontact's own becomes a ConfigError of one line. It names ``what``,
-    whose code the block calls (``Registry.title``), and the trial."""
+    """Turn a foreign error inside the block into a ConfigError of one line that names ``what`` and the trial."""
     try:
         yield
     except CarecontactError:
@@ -245,17 +244,13 @@ def behaviour_of(action: str, gates: str) -> Behaviour[Any]:
 
 
 def actions_that_move() -> frozenset[str]:
-    """Return the registered actions that are meant to move a limb. An action that cannot be loaded is left out, because
-    no trial of it can be scored."""
+    """Return the registered actions that are meant to move a limb, without those that cannot be loaded."""
     return frozenset(action for action, row in BEHAVIOURS.usable().items() if row.moves_the_person)
 
 
 def let_go(contact: Contact, holding: Mask, duration_s: float) -> bool:
-    """Whether the target itself was held for ``duration_s`` and then let go before the trial's end.
-
-    ``holding`` (T,) are the steps that count toward a hold. A neighbour's time does not count: the region was not lost
-    where it was barely touched.
-    """
+    """Whether the target itself, not a neighbour, was held for ``duration_s`` and let go before the end; ``holding``
+    (T,)."""
     target_held = holding & contact.on[:, contact.target]
     least = steps(duration_s, contact.dt_s)
     return any(stop - start >= least and stop < len(target_held) for start, stop in runs(target_held).tolist())
@@ -300,10 +295,7 @@ ANSWERS: dict[str, tuple[tuple[Any, ...], str]] = {
 
 
 def ask(contact: Contact, method: str, *arguments: object, action: str | None = None) -> Any:
-    """Return what a method of the Behaviour of a trial's action, or of another ``action``, answers.
-
-    Raises ConfigError naming the action, its package and the trial if the method raises or returns a wrong type.
-    """
+    """Return what a method of an action's Behaviour answers. Raises ConfigError if it raises or answers wrongly."""
     action = action or contact.task.action
     trial_id = contact.recording.header.spec.trial_id
     behaviour = behaviour_of(action, contact.protocol.gates.set)

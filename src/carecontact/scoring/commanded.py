@@ -105,10 +105,7 @@ def commanded_path(contact: Contact) -> CommandedPath | None:
 
 
 def target_poses(recording: Recording) -> F64:
-    """(M, 7) pose of the tool in base that each action asks for, NaN where it kept the last target.
-
-    For actions in joint space this is where the controller's target lay a period later.
-    """
+    """(M, 7) pose in base that each action asks for, NaN where it kept the target; of joint actions, a period later."""
     joint = recording.arrays.get("actions/joint")
     if joint is None:
         return recording["actions/pose_tcp_in_base"]
@@ -122,8 +119,7 @@ def target_poses(recording: Recording) -> F64:
 
 
 def commanded_contact(path: CommandedPath, reversal_m: float) -> CommandedContact:
-    """Return the contact of a tool that followed the commands exactly; ``reversal_m``: opposite travel that counts as a
-    reversal."""
+    """Return the contact of a tool that followed the commands exactly. ``reversal_m``: see ``count_reversals``."""
     until = np.append(path.target_time_s[1:], max(path.end_s, path.target_time_s[-1]))
     best = CommandedContact()
     for start, stop in runs(path.target_distance <= 0.0).tolist():
@@ -161,11 +157,7 @@ class NotedTarget:
 
 
 def nearest_noted_target(contact: Contact) -> NotedTarget | None:
-    """Return the noted target that is horizontally nearest the named region; None where no note holds one.
-
-    Understood are ``target_m`` (a place in the robot's base) with ``subtask``, and ``options``, ``chosen`` and
-    ``intent``; what is not of their form is passed over.
-    """
+    """Return the noted target, ``target_m`` or a corner of the chosen option, that is nearest the named region."""
     times = contact.recording["policy/observation_time_s"].astype(np.float64)
     found: list[NotedTarget] = []
     for note in read_notes(contact.recording):

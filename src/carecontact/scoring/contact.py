@@ -23,8 +23,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 def _butterworth(cutoff_hz: float, sample_hz: float) -> tuple[float, float, float]:
-    """Return b, a1 and a2 of y_n = b (x_n + 2 x_n-1 + x_n-2) - a1 y_n-1 - a2 y_n-2: second order, by the bilinear
-    transform with the cutoff prewarped."""
+    """b, a1, a2 of y_n = b (x_n + 2 x_n-1 + x_n-2) - a1 y_n-1 - a2 y_n-2, by the prewarped bilinear transform."""
     warped = float(4 * np.tan(np.pi * (2 * cutoff_hz / sample_hz) / 2))
     poles = warped * -np.exp(1j * np.pi * np.array([-1.0, 1.0]) / 4)
     gain = warped**2 * (1 / np.prod(4 - poles)).real
@@ -63,10 +62,7 @@ def rate_faults(protocol: Protocol) -> Iterator[str]:
 
 
 def low_pass(signal: F64, *, cutoff_hz: float, sample_hz: float, zero_phase: bool) -> F64:
-    """Second-order Butterworth along axis 0, starting from rest; ``zero_phase`` runs it forward and backward.
-
-    Raises ValueError if the cutoff is not below half the sample rate.
-    """
+    """Second-order Butterworth along axis 0, starting from rest; ``zero_phase`` runs it forward and backward."""
     if len(signal) == 0:
         return np.array(signal, np.float64)
     if not 0 < cutoff_hz < sample_hz / 2:
@@ -237,8 +233,7 @@ def find_contact(recording: Recording) -> Contact:
 
 
 def with_floor(contact: Contact, *, on_n: float, off_n: float) -> Contact:
-    """Return the same trial with other thresholds for what is on [N]; everything that follows from them is
-    found again."""
+    """Return the same trial with other thresholds for what is on [N], and all that follows from them."""
     definition = contact.protocol.contact
     on = np.zeros((len(contact.time_s), len(contact.segments)), np.bool_)
     touched = (contact.filtered_normal >= on_n).any(axis=0)
@@ -298,8 +293,7 @@ def steps(seconds: float, dt_s: float) -> int:
 
 
 def joined(spans: npt.NDArray[np.intp], close: Callable[[int, int], bool]) -> list[tuple[int, int]]:
-    """(N, 2) [start, stop) in rising order -> spans, of which two are one if the start of the later is ``close`` to the
-    stop of the earlier."""
+    """(N, 2) rising [start, stop) -> spans, of which two are one if the later start is ``close`` to that stop."""
     found: list[tuple[int, int]] = []
     for start, stop in spans.tolist():
         if found and close(found[-1][1], start):
@@ -315,22 +309,17 @@ def episodes(contact: Contact) -> list[tuple[int, int]]:
 
 
 def faint_press(contact: Contact) -> str | None:
-    """Return words that continue "The robot": which segment it pressed, how long and how hard, and what it takes to
-    count.
-
-    None where nothing was pressed, and where the contact is valid. The force is the largest norm of a physics step; a
-    contact begins where the normal force behind the low-pass filter of the contact definition reaches its ``on_n``.
-    """
+    """Return words that continue "The robot" for a press that does not count as contact; None for any other trial."""
     felt = contact.force_norm > 0
     if contact.valid or not felt.any():
         return None
     definition = contact.protocol.contact
     pressed = any_column(felt, range(felt.shape[1]))
     step, segment = np.unravel_index(int(contact.force_norm.argmax()), felt.shape)
-    name = contact.segments[int(segment)].replace("_", " ")
+    name, most_n = contact.segments[int(segment)].replace("_", " "), float(contact.force_norm[step, segment])
     what = (
         f"pressed the {name} for {_time(int(pressed.sum()) * contact.dt_s)} with "
-        f"{_force(float(contact.force_norm[step, segment]))}"
+        f"{f'at most {most_n:.1f}' if most_n >= 0.05 else 'less than 0.05'} N"
     )
     if contact.reported is None:
         return f"{what}; contact counts from {definition.on_n:g} N"
@@ -339,10 +328,6 @@ def faint_press(contact: Contact) -> str | None:
         f"{what}, of which {_time(held)} count as contact (from {definition.on_n:g} N); a trial needs "
         f"{_time(definition.valid_total_s)} of it"
     )
-
-
-def _force(newton: float) -> str:
-    return f"at most {newton:.1f} N" if newton >= 0.05 else "less than 0.05 N"
 
 
 def _time(seconds: float) -> str:

@@ -127,10 +127,7 @@ class Wiping:
 
 
 def share_of_tool(normal: npt.NDArray[Any], beside_normal: npt.NDArray[Any] | None) -> float:
-    """Return the share of a normal force that was the tool's, over the steps (n,) of a period.
-
-    ``beside_normal``: (n, 2) what of it the hand did, and the links; None where only the tool touched.
-    """
+    """Share of a normal force (n,) over a period that was the tool's; ``beside_normal`` (n, 2): of hand and links."""
     whole = float(normal.sum(dtype=np.float64))
     if beside_normal is None or whole <= 0:
         return 1.0
@@ -138,8 +135,7 @@ def share_of_tool(normal: npt.NDArray[Any], beside_normal: npt.NDArray[Any] | No
 
 
 def new_wiping(arrays: Arrays) -> Wiping | None:
-    """Return the wiping of a trial before its first period, from the constants of its recording; None without foam on
-    cells."""
+    """Return a trial's wiping before its first period; None without foam on cells."""
     if SHARE not in arrays or not arrays[SHARE].any():
         return None
     area, share = arrays["scorer/cell_area_m2"], arrays[SHARE]

@@ -1,5 +1,4 @@
-"""How much a trial's result depends on values that the benchmark chose: each gate is changed alone, and the others
-stay."""
+"""How a trial's result depends on each value that the benchmark chose, changed alone."""
 
 from __future__ import annotations
 
@@ -19,10 +18,7 @@ ends keeps its ratio to it."""
 
 
 def protocol_sweeps(protocol: Protocol) -> dict[str, tuple[str | None, Sweep]]:
-    """Name of each sweep of a protocol's trials -> its action, None where it is for all of them, and itself.
-
-    Raises ConfigError where two sweeps have the same name.
-    """
+    """Name -> action (None: all) and sweep, of a protocol. Raises ConfigError where two have one name."""
     used = {task.action for task in protocol.tasks}
     return sweeps_of((action for action in protocol.gates.actions if action in used), protocol.gates.set)
 
@@ -72,8 +68,7 @@ def _level_at_floor(contact: Contact, measures: Measures, own: Verdict, on_n: fl
     off_n = on_n * definition.off_n / definition.on_n
     if (on_n, off_n) != (definition.on_n, definition.off_n):
         contact = with_floor(contact, on_n=on_n, off_n=off_n)
-        needs = behaviour_of(contact.task.action, contact.protocol.gates.set).needs
-        measures = measure(contact, episodes="episodes" in needs, wrist="wrist" in needs)
+        measures = measure(contact, needed=True)
     return level(reach_verdict(contact, judge(contact, measures), own=own))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from carecontact.recording.schema import Recording
-from carecontact.scoring.behaviour import ask, behaviour_of
+from carecontact.scoring.behaviour import ask
 from carecontact.scoring.contact import HELD_S, find_contact, held_force, steps
 from carecontact.scoring.metrics.success import judge, measure
 from carecontact.scoring.progress import distance_to_surface, points_in_region, region_pose
@@ -43,16 +43,10 @@ class Progress:
 
 
 def progress_of(recording: Recording) -> Progress:
-    """Return the progress of a trial up to the end of its streams, which have at least one physics step.
-
-    Args:
-        recording: NEEDED and the constants of a trial suffice (``Recording.trusted``).
-    """
+    """Return the progress up to the end of the streams, at least one physics step; NEEDED and constants suffice."""
     contact = find_contact(recording)
-    action, table = contact.task.action, contact.protocol.gates.of(contact.task.action)
-    needs = behaviour_of(action, contact.protocol.gates.set).needs
-    gate = judge(contact, measure(contact, episodes="episodes" in needs, wrist="wrist" in needs))
-    met = gate.time_met and gate.progress_met and gate.band_met
+    table = contact.protocol.gates.of(contact.task.action)
+    gate = judge(contact, measure(contact, needed=True))
     verdict = reach_verdict(contact, gate)
     last = max(1, steps(HELD_S / 2, contact.dt_s))
     others = np.delete(contact.force_norm[-last:], contact.neighbourhood, axis=1)
@@ -60,7 +54,7 @@ def progress_of(recording: Recording) -> Progress:
     pose, size = region_pose(contact, contact.task.region, end)
     tool = recording["scorer/pose_tcp_in_world"][end, :3].astype(np.float64)
     return Progress(
-        share=1.0 if met else float(np.clip(ask(contact, "reached", contact, table, gate), 0.0, NEARLY)),
+        share=1.0 if gate.action_met else float(np.clip(ask(contact, "reached", contact, table, gate), 0.0, NEARLY)),
         success=gate.success,
         safety_gated=verdict.safety_gated,
         safe=not verdict.over_limit and not verdict.joints_beyond,

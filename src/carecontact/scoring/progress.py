@@ -160,8 +160,7 @@ def count_reversals(position: F64, threshold: float) -> int:
 
 
 def turning_points(position: F64, threshold: float) -> list[int]:
-    """(N,) positions without a gap -> indices of the outermost position before each change of direction; a change is
-    one where ``threshold`` has been travelled back."""
+    """(N,) positions without a gap -> where each turn is outermost; a turn is one after ``threshold`` of way back."""
     found: list[int] = []
     direction = low_at = high_at = 0
     low = high = float(position[0]) if len(position) else 0.0
@@ -260,8 +259,8 @@ class Wiping:
         return float((self.passes(least_n) >= times).sum()) * STEP_M
 
     def share_in_band(self, least_n: float, most_n: float) -> float | None:
-        """Share of the time of sliding with at least ``least_n`` of the tool and at most ``most_n`` of the whole robot;
-        None where the tool never slid."""
+        """Share of sliding time with at least ``least_n`` of the tool, at most ``most_n`` of the robot; None if it
+        never slid."""
         tool, whole = self.force[1:][self.moving], self.whole[1:][self.moving]
         return float(in_band(tool, whole, least_n, most_n).mean()) if len(tool) else None
 

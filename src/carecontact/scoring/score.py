@@ -81,8 +81,7 @@ def score_recording(recording: Recording) -> TrialScore:
 
 
 def measure_all(contact: Contact) -> tuple[dict[str, Any], dict[str, float | None]]:
-    """Return every registered metric of one trial: fields of ``TrialScore`` with their values, then id -> value of the
-    others."""
+    """Return every metric of a trial: fields of ``TrialScore`` with their values, then id -> value of the others."""
     filled: dict[str, Any] = {}
     additional: dict[str, float | None] = {}
     for row in checked_metrics():
@@ -97,8 +96,7 @@ def measure_all(contact: Contact) -> tuple[dict[str, Any], dict[str, float | Non
 
 
 def check_finite(place: str, values: dict[str, Any]) -> None:
-    """Raises RecordingError, which begins with ``place``, for an infinite value or NaN; ConfigError, which names the
-    metric, for one of a metric that another package supplies."""
+    """Raises RecordingError for a value that is not finite, or ConfigError where another package's metric gave it."""
     for name, value in values.items():
         if isinstance(value, float) and not isfinite(value):
             if METRICS.package(name):
@@ -139,8 +137,7 @@ def _trial(contact: Contact, sha256: str) -> dict[str, Any]:
 
 
 def _world(contact: Contact) -> dict[str, str]:
-    """Return what was put into the simulation. The controller is a part of it, since it decides how stiff the robot is.
-    The action space is not: it is the method's language, and methods that speak different ones are compared."""
+    """What was put into the simulation. The controller is part of it; the action space is the method's language."""
     header, protocol = contact.recording.header, contact.recording.header.spec.protocol
     world = header.identity | {n: header.sha256[n] for n in ("body", "robot") if n in header.sha256}
     if protocol.variation.draws_models and "body" in world:

@@ -1,5 +1,4 @@
-"""Whether a trial is safe, correct and successful: its gates, and how far the person's joints came toward their
-ends."""
+"""Whether a trial is safe, correct and successful, and how far the person's joints came toward their ends."""
 
 from __future__ import annotations
 
@@ -82,12 +81,8 @@ class Verdict:
 
 
 def reach_verdict(contact: Contact, gate: Gate, *, own: Verdict | None = None) -> Verdict:
-    """Return the verdict on a trial. Every trial has one anatomy, and at most one failure mode. A force above a safety
-    gate has no mode of its own: ``over_limit`` tells of it.
-
-    ``own``: the verdict on the same recording under another gate of its action or another floor of contact. On neither
-    do its joints depend, which are then not measured again.
-    """
+    """Return the verdict on a trial. ``own``: that on the same recording under another gate or floor, whose joints are
+    the same."""
     share, rules, gates = contact.region_share, contact.protocol, contact.protocol.gates
     region_correct = gate.success and share is not None and share >= gates.region_share and at_foam(contact)
     ratios = {s: f / (rules.limits.gamma * rules.f_pain(s)) for s, f in peak_of_segments(contact).items()}

@@ -15,8 +15,8 @@ from carecontact.errors import ConfigError
 
 Factory = Callable[..., object]
 
-TRUTHS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-_SIMPLE: dict[type, Callable[[str], object]] = {int: int, float: float, str: str, Path: Path}
+TRUTHS: dict[str, object] = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_SIMPLE = (int, float, str, Path)
 _CONTAINERS = (list, tuple, dict, set, frozenset, bytes)
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 
@@ -72,8 +72,7 @@ def parameters_of(factory: Factory) -> tuple[Parameter, ...]:
 def bind(factory: Factory, given: Mapping[str, str]) -> dict[str, object]:
     """Convert texts to keyword arguments. A name that only ``**kwargs`` takes stays a text.
 
-    Raises ArgumentError for an argument that does not exist, is missing or cannot be converted; the message lists the
-    arguments that exist.
+    Raises ArgumentError, which lists the arguments that exist.
     """
     parameters = {p.name: p for p in parameters_of(factory)}
     open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in _signature(factory).parameters.values())
@@ -105,14 +104,16 @@ def convert(text: str, annotation: object) -> object:
 
     ``none`` becomes None if the annotation allows None and no text. Raises ValueError if the conversion fails.
     """
-    if annotation is bool:
-        return _chosen(text.lower(), TRUTHS)
-    if isinstance(annotation, type) and annotation in _SIMPLE:
-        return _SIMPLE[annotation](text)
-    if get_origin(annotation) is Literal:
-        return _chosen(text, {str(choice): choice for choice in reversed(get_args(annotation))})
-    if get_origin(annotation) in (Union, UnionType):
-        return _first_that_fits(text, get_args(annotation))
+    parts = _parts(annotation)
+    if NoneType in parts and str not in parts and text.lower() == "none":
+        return None
+    # Any text fits str and every annotation that is unknown here, so that the other types are tried first.
+    exact = [part for part in parts if _convertible(part) and part is not str]
+    for part in exact:
+        with suppress(ValueError):
+            return _converted(text, part)
+    if all(part is NoneType or part in exact for part in parts):
+        raise ValueError(text)
     return text
 
 
@@ -122,34 +123,29 @@ def described(annotation: object) -> str:
         return "str"
     if get_origin(annotation) is Literal:
         return " | ".join(map(str, get_args(annotation)))
-    if get_origin(annotation) in (Union, UnionType):
-        parts = [part for part in get_args(annotation) if part is not NoneType]
+    if len(_parts(annotation)) > 1:
+        parts = [part for part in _parts(annotation) if part is not NoneType]
         known = [part for part in parts if _convertible(part)]
         return " | ".join(described(part) for part in known or parts)
     return annotation.__name__ if isinstance(annotation, type) else str(annotation)
 
 
-def _chosen(text: str, choices: Mapping[str, object]) -> object:
-    if text not in choices:
-        raise ValueError(text)
-    return choices[text]
-
-
-def _first_that_fits(text: str, parts: tuple[object, ...]) -> object:
-    if NoneType in parts and str not in parts and text.lower() == "none":
-        return None
-    # Any text fits str and every annotation that is unknown here, so that the other types are tried first.
-    exact = [part for part in parts if part is not NoneType and _convertible(part) and part is not str]
-    for part in exact:
-        with suppress(ValueError):
-            return convert(text, part)
-    if all(part is NoneType or part in exact for part in parts):
-        raise ValueError(text)
-    return text
+def _parts(annotation: object) -> tuple[object, ...]:
+    return get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
 
 
 def _convertible(annotation: object) -> bool:
-    return annotation is bool or get_origin(annotation) is Literal or annotation in tuple(_SIMPLE)
+    return annotation is bool or get_origin(annotation) is Literal or annotation in _SIMPLE
+
+
+def _converted(text: str, annotation: Any) -> object:
+    if annotation in _SIMPLE:
+        return annotation(text)
+    choices: dict[str, object] = {str(choice): choice for choice in reversed(get_args(annotation))}
+    text, choices = (text.lower(), TRUTHS) if annotation is bool else (text, choices)
+    if text not in choices:
+        raise ValueError(text)
+    return choices[text]
 
 
 def _signature(factory: Factory) -> inspect.Signature:

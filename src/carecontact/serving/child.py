@@ -110,25 +110,24 @@ def main(options: Options) -> None:
     arguments = options["arguments"]
     with os.fdopen(options["report_fd"], "w", buffering=1) as report:
 
-        def write(line: Mapping[str, object]) -> None:
+        def write(**line: object) -> None:
             report.write(f"{json.dumps(line)}\n")
 
         def listening(port: int) -> None:
-            write({"port": port})
+            write(port=port)
             report.close()
 
-        write({"isolation": options.get("isolation")})
+        write(isolation=options.get("isolation"))
         try:
             raise_wall()
             sys.path[:0] = options["search_path"]
             policy = _construct(options["target"], {**arguments, **options["language"]})
         except ConfigError as error:
             # Its message is for the user who gave the arguments, be it ours or the policy's own.
-            write({"error": str(error), "kind": "argument"})
+            write(error=str(error), kind="argument")
             return
         except (Exception, SystemExit) as error:
-            message = f"could not load {options['target']}:\n{traceback_text(error)}"
-            write({"error": message, "kind": "start"})
+            write(error=f"could not load {options['target']}:\n{traceback_text(error)}", kind="start")
             return
         try:
             serve_policy(

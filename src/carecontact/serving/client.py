@@ -39,26 +39,21 @@ class ActReply:
 class Client(ABC):
     """One trial's conversation with a policy: ``card``, ``reset``, and any number of ``act``.
 
-    Every failure is a PolicyError, and its kind says what the policy did.
+    Every failure is a PolicyError, and its kind says what the policy did; only an ObservationError, for an observation
+    that breaks the contract, is the harness's fault.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
 
     @abstractmethod
-    def card(self, *, deadline_s: float) -> PolicyCard:
-        """Return the policy's card."""
+    def card(self, *, deadline_s: float) -> PolicyCard: ...
 
     @abstractmethod
-    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None:
-        """Begin the trial."""
+    def reset(self, instruction: str, session: Session, *, deadline_s: float) -> None: ...
 
     @abstractmethod
-    def act(self, observation: Observation, *, deadline_s: float) -> ActReply:
-        """Send an observation and return the answer.
-
-        Raises ObservationError if the observation breaks the contract, which is the harness's fault.
-        """
+    def act(self, observation: Observation, *, deadline_s: float) -> ActReply: ...
 
     @abstractmethod
     def _end(self, *, deadline_s: float) -> None: ...
@@ -114,7 +109,6 @@ def unpacked(frame: bytes | str, what: str, *, packing: Packing = NATIVE, remedy
 
 
 def reported(reason: object) -> str:
-    """Return the reason that a server gives for an error."""
     if isinstance(reason, str) and reason.strip():
         return reason
     return f"the policy's server reported an error, expected its reason as text, got {reason!r:.80}"

@@ -66,9 +66,7 @@ def wrong_keys(entries: Mapping[str, object], *, kind: str, field: str | None) -
 def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
     """Return why a call failed: a LostError where the server gave no reason, or is about to restart.
 
-    Args:
-        error: ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call.
-        sent_bytes: length of the last message to the policy.
+    ``error``: ConnectionClosed, or the AssertionError of websockets when the peer vanishes in the middle of a call.
     """
     if isinstance(error, ConnectionClosed):
         sent, received = error.sent, error.rcvd
@@ -84,10 +82,7 @@ def closed(error: Exception, *, sent_bytes: int) -> PolicyError:
 
 
 def absent(error: Exception) -> str:
-    """Return how a failed handshake shows that only a tunnel or proxy answered because the server behind it is away.
-
-    Empty if a server answered.
-    """
+    """Return how a failed handshake shows that only a tunnel or proxy answered; empty if a server did."""
     if isinstance(error, InvalidStatus) and error.response.status_code in PROXY_ALONE:
         return f"a proxy there answers HTTP {error.response.status_code}"
     if isinstance(error, ConnectionResetError) or isinstance(error.__cause__, EOFError | ConnectionResetError):
@@ -96,7 +91,6 @@ def absent(error: Exception) -> str:
 
 
 def _refused(code: int, sent_bytes: int) -> str:
-    """Return why the policy's server closed the connection, by the close code."""
     if code == MESSAGE_TOO_BIG:
         return (
             f"the policy's server refused a message of {sent_bytes} bytes (close code {code}): raise its limit, in "
@@ -136,11 +130,7 @@ class Connection:
         authorization: str = "",
         line: socket.socket | None = None,
     ) -> Self:
-        """Connect without reading anything.
-
-        Args:
-            authorization: value of the header ``Authorization``; empty sends none.
-            line: a socket that is already connected; this object then owns it.
+        """Connect without reading anything; ``line``: a socket that is already connected, which this object then owns.
 
         Raises UnreachableError if nothing accepts a connection there, PolicyError ``handshake`` or ``timeout`` if the
         WebSocket cannot be opened, ExhaustedError if this process gets no thread for it.
@@ -201,9 +191,7 @@ class Connection:
             raise PolicyError("garbage", f"expected no message before the next request, got one of {len(frame)} bytes")
 
     def send(self, message: bytes, *, deadline_s: float) -> None:
-        """Send a message. A peer that does not read could block this forever; at the deadline, closing our end of the
-        line ends the wait.
-        """
+        """Send a message. For a peer that does not read, closing our end of the line at the deadline ends the wait."""
         self._sent_bytes = len(message)
         with self._deadline.within(deadline_s) as deadline:
             try:
@@ -216,14 +204,8 @@ class Connection:
             self.on_sent(message)
 
     def receive(self, what: str, *, deadline_s: float, late: str = "") -> bytes | str:
-        """Return the next frame, of at most MAX_REPLY_BYTES.
-
-        Args:
-            what: name of the awaited message.
-            late: what to append to the error message if no frame comes.
-
-        Raises PolicyError ``timeout``, ``oversize``, ``garbage`` or ``died``.
-        """
+        """Return the next frame, of at most MAX_REPLY_BYTES. Raises PolicyError ``timeout``, with ``late`` appended,
+        ``oversize``, ``garbage`` or ``died``."""
         deadline_s = max(deadline_s, 0.0)
         with self._deadline.within(deadline_s) as deadline:
             try:

@@ -103,11 +103,8 @@ class PolicyConversation(ABC):
     """Called with every frame that the policy sends as an answer, before it is decoded."""
 
     def __init__(self, policy: str, *, first_deadline_s: float, deadline_s: float) -> None:
-        """Prepare a conversation without starting it.
-
-        ``first_deadline_s`` [s] applies to the start, each reset and the first act, when models load; ``deadline_s`` to
-        every later act; BUDGET_S to all of them together.
-        """
+        """``first_deadline_s`` [s] applies to the start, each reset and the first act, when models load; ``deadline_s``
+        to every later act; BUDGET_S to all of them together."""
         self.policy = policy
         self._first_deadline_s, self._deadline_s = first_deadline_s, deadline_s
         self._left_s = BUDGET_S
@@ -177,7 +174,6 @@ class PolicyConversation(ABC):
     # What follows is for subclasses, which know more than the connection does.
 
     def _carried_out(self, step: Callable[[Left], T], left: Left) -> T:
-        """Take one step of the conversation within the seconds that are ``left``."""
         return step(left)
 
     def _shown(self, text: str) -> str:
@@ -209,9 +205,8 @@ class PolicyConversation(ABC):
 
     @contextmanager
     def _within(self, deadline_s: float) -> Generator[Left, None, None]:
-        """Yield the function that returns the seconds left for a call; afterwards, subtract the call's time from the
-        budget. Meanwhile, report that the policy is silent.
-        """
+        """Yield the function that returns the seconds left for a call; report that the policy is silent. Afterwards,
+        subtract the call's time from the budget."""
         started, allowed_s, over = time.monotonic(), min(deadline_s, self._left_s), threading.Event()
 
         def report(on_wait: Callable[[str], None]) -> None:

@@ -4,7 +4,7 @@ metadata."""
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
@@ -117,9 +117,7 @@ those of SETUPS."""
 
 def named_profile(options: Mapping[str, str]) -> Profile:
     """Return the profile that an address names, with its other options. Raises ConfigError for an unknown name."""
-    name = options["profile"]
-    if name not in PROFILES:
-        raise ConfigError(f"no profile named {name!r}{did_you_mean(name, PROFILES)}; valid: {', '.join(PROFILES)}")
+    name = _known("profile", options["profile"], PROFILES)
     profile = PROFILES[name]
     horizon = int(options.get("horizon", str(profile.horizon)))
     if not profile.setup:
@@ -128,24 +126,18 @@ def named_profile(options: Mapping[str, str]) -> Profile:
         return replace(profile, horizon=horizon, first_exterior=int(options.get("exterior", "1")))
     if "exterior" in options:
         raise ConfigError(f"exterior: the pictures of the profile {name} have no number; leave it out")
-    return replace(profile, horizon=horizon, orientation=named_orientation(options, profile.orientation))
+    return replace(profile, horizon=horizon, orientation=_orientation(options, profile.orientation))
 
 
-def named_orientation(options: Mapping[str, str], default: str) -> str:
-    """Return the orientation of pictures that an address names. Raises ConfigError for an unknown name."""
-    name = options.get("orientation", default)
-    if name not in ORIENTATIONS:
-        meant = did_you_mean(name, ORIENTATIONS)
-        raise ConfigError(f"no orientation named {name!r}{meant}; valid: {', '.join(ORIENTATIONS)}")
+def _known(kind: str, name: str, valid: Collection[str]) -> str:
+    """Return the name. Raises ConfigError for one that is not among those that are ``valid``."""
+    if name not in valid:
+        raise ConfigError(f"no {kind} named {name!r}{did_you_mean(name, valid)}; valid: {', '.join(valid)}")
     return name
 
 
 def announced_profile(metadata: Mapping[str, object], options: Mapping[str, str]) -> Profile:
-    """Return the profile that a server's metadata describe in RoboArena's terms.
-
-    Raises PolicyError ``handshake`` for a field that is missing, is not what RoboArena defines, or asks for what this
-    benchmark does not have.
-    """
+    """Return the profile that a server's metadata describe in RoboArena's terms. Raises PolicyError ``handshake``."""
     if "action_space" not in metadata:
         raise _refused(
             f"expected the field action_space ({', '.join(SPACES)}), got {sorted(metadata)!s:.200}; the address of an "
@@ -275,9 +267,11 @@ def vla_eval_setup(options: Mapping[str, str]) -> tuple[str, str] | None:
         if "orientation" in options:
             raise ConfigError(f"orientation: only the profiles {', '.join(SETUPS)} take it")
         return None
-    name = options["profile"]
-    if name not in SETUPS:
-        raise ConfigError(f"no profile named {name!r}{did_you_mean(name, SETUPS)}; valid: {', '.join(SETUPS)}")
+    name = _known("profile", options["profile"], SETUPS)
     if "space" in options:
         raise ConfigError(f"space: the profile {name} says that the actions are {DELTA_SPACE}; leave space out")
-    return name, named_orientation(options, SETUPS[name].orientation)
+    return name, _orientation(options, SETUPS[name].orientation)
+
+
+def _orientation(options: Mapping[str, str], default: str) -> str:
+    return _known("orientation", options.get("orientation", default), ORIENTATIONS)

@@ -58,9 +58,7 @@ class RemotePolicy(PolicyConversation):
         return card
 
     def _carried_out(self, step: Callable[[Left], T], left: Left) -> T:
-        """Carry out a step, and repeat the trial from its start if the server was away: before the first answer,
-        nothing was executed.
-        """
+        """Repeat the trial from its start if the server was away: before the first answer, nothing was executed."""
         if self._acted or not self.patient:
             return step(left)
         pause_s, losses, again = FIRST_PAUSE_S, 0, list[Callable[[Left], object]]()

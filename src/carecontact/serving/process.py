@@ -13,7 +13,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from carecontact.serving.client import PolicyClient
 from carecontact.serving.connection import Connection
 from carecontact.serving.conversation import GRACE_S, Left, PolicyConversation, PolicySetup
 from carecontact.serving.namespaces import SANDBOX, granted
-from carecontact.serving.process_tree import ASK, STACK_PATIENCE_S, kill_claimed, read_stack, readable_descriptors
+from carecontact.serving.process_tree import ASK, STACK_PATIENCE_S, read_stack, readable_descriptors
 from carecontact.serving.sandbox import ENDING_S, NO_PROCESS, REMOVAL_S, PrivateFolder, private_folder
 from carecontact.system import cache_folder, is_exhausted
 
@@ -46,7 +46,6 @@ them."""
 SECRET_CHARS = 6
 """A value of --policy-env of at least this length is removed from the policy's output. Shorter values may be ordinary
 words."""
-PORTS = range(1, 1 << 16)
 TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
 """Errors that neither the policy nor the temporary folder causes."""
 
@@ -69,11 +68,8 @@ main(options)
 
 
 def remedy(message: str, *, isolation: str | None) -> str:
-    """Return what to append to a failure caused by a path that the harness can use and its policy cannot; otherwise
-    empty.
-
-    ``isolation``: the isolation of the policy's process, in the words of recordings.
-    """
+    """Return what to append to a failure caused by a path that the harness can use and its policy cannot, or nothing.
+    ``isolation``: in the words of recordings."""
     denied = _DENIED.search(message)
     if denied is None or not isolation or isolation.startswith("none"):
         return ""
@@ -113,11 +109,7 @@ class PolicyProcess(PolicyConversation):
         return self._shown(self._output.decode(errors="replace")).strip()
 
     def launch(self) -> socket.socket:
-        """Start the process and return a connection to its policy; the caller then talks to the policy and closes the
-        connection.
-
-        Raises PolicyError as ``start`` does.
-        """
+        """Start the process and return a connection to its policy, which the caller closes. Raises as ``start``."""
         return self._call("start", self._first_deadline_s, lambda left: self._reached(self._launch(left), left))
 
     def hung(self) -> str:
@@ -132,7 +124,6 @@ class PolicyProcess(PolicyConversation):
         self._drop()
 
     def _open(self, left: Left) -> PolicyClient:
-        """Launch the process, let it import the policy, and connect."""
         port = self._launch(left)
         try:
             return PolicyClient(Connection.open(port=port, deadline_s=left(), line=self._reached(port, left)))
@@ -176,9 +167,9 @@ class PolicyProcess(PolicyConversation):
             }
             self._child = self._popen([fd for fd in descriptors.values() if fd is not None])
         try:
-            self._reader = _started(self._drain, self._child)
-            if not namespaces:
-                _started(_kill_left, self._child, self._lifeline.dup())
+            reader = threading.Thread(target=self._drain, args=(self._child,), daemon=True)
+            reader.start()
+            self._reader = reader
         except RuntimeError as error:
             self._child.kill()  # It waits for its options, and has started nothing.
             raise _exhausted(error) from None
@@ -221,12 +212,12 @@ class PolicyProcess(PolicyConversation):
             found: dict[str, Any] = json.loads(next(lines))
             if "error" not in found:
                 port = found["port"]
-                if type(port) is not int or port not in PORTS:
+                if type(port) is not int or not 0 < port < 1 << 16:
                     raise ValueError
                 return port
             kind, why = found["kind"], str(found["error"])
         except (ValueError, TypeError, KeyError, RecursionError):
-            # Only code of the policy can have written this, so that it counts as the policy's failure.
+            # A policy that wrote this must not turn its failure into one of the harness, after which it is run again.
             raise PolicyError("garbage", "its process reported neither a port nor why it did not start") from None
         raise PolicyError(kind if kind in ("argument", "start") else "start", why)
 
@@ -234,11 +225,8 @@ class PolicyProcess(PolicyConversation):
         """Yield the lines that the process reports about its start; raise if it ends before the last one."""
         written = b""
         while True:
-            line, end, rest = written.partition(b"\n")
-            if end:
-                yield line
-                written = rest
-                continue
+            *lines, written = written.split(b"\n")
+            yield from lines
             if not readable_descriptors([report], left()):
                 raise PolicyError(
                     "timeout", f"the policy was not ready within {self._first_deadline_s:g} s of its start"
@@ -290,9 +278,8 @@ class PolicyProcess(PolicyConversation):
         return self._lifeline is None or bool(readable_descriptors([self._lifeline.fileno()], time_s))
 
     def _status(self) -> int | None:
-        """Return the exit status of the policy's process, as ``subprocess.Popen.returncode``; None if the process that
-        watches it ended without a report. Raises TimeoutError if neither happens.
-        """
+        """Return the exit status of the policy's process; None if the process that watches it ended without a report.
+        Raises TimeoutError if neither happens."""
         assert self._lifeline is not None
         if not self._ended_within(GRACE_S):
             raise TimeoutError
@@ -350,23 +337,6 @@ class PolicyProcess(PolicyConversation):
             self._folder.remove()
         self._child = self._lifeline = self._line = self._folder = self._stack = None
         self._owned.close()
-
-
-def _started(work: Callable[..., None], *given: object) -> threading.Thread:
-    thread = threading.Thread(target=work, args=given, daemon=True)
-    thread.start()
-    return thread
-
-
-def _kill_left(child: subprocess.Popen[bytes], lifeline: socket.socket) -> None:
-    """If the process that watches the policy is killed, do its work: as long as a process that the policy started holds
-    the connection, the policy's death would go unnoticed.
-    """
-    with lifeline:
-        readable_descriptors([lifeline.fileno()])
-        if _reported(lifeline) is None:
-            child.wait()
-            kill_claimed()
 
 
 def _new_folder() -> PrivateFolder:

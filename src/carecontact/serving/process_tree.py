@@ -1,9 +1,5 @@
 """Looks after processes that were started: which descriptors can be read, where a process hangs, and what it has
-started itself.
-
-Where the system grants no pid namespace, a process adopts what its descendants leave, and kills it. Linux lists the
-children of a process; elsewhere, only the policy's process group is killed.
-"""
+started itself. Linux lists the children of a process; elsewhere, only the policy's process group is killed."""
 
 from __future__ import annotations
 
@@ -20,7 +16,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import carecontact
-from carecontact.system import adopt_orphans
 
 ASK = signal.SIGQUIT
 """The signal that asks a process for its Python stack, as in Java and Go."""
@@ -37,16 +32,10 @@ CHILDREN_PATIENCE_S = 2.0
 """Time [s] for ending processes that start others while they are being killed."""
 _FRAME = re.compile(r'  File "(.+)", line (\d+) in (.+)')
 
-_all_children = False
-
 
 def readable_descriptors(descriptors: Iterable[int], timeout_s: float | None = None) -> list[int]:
     """Return the descriptors that have something to read, or have reached their end; ``select.select`` would refuse
-    numbers from 1024 on.
-
-    Args:
-        timeout_s: longest wait [s] for the first one; None waits until there is one.
-    """
+    numbers from 1024 on. ``timeout_s``: longest wait [s] for the first one; None waits until there is one."""
     watch = select.poll()
     for descriptor in descriptors:
         watch.register(descriptor, select.POLLIN)
@@ -66,11 +55,7 @@ def give_stack(fd: int) -> None:
 
 
 def read_stack(fd: int, *, patience_s: float) -> str:
-    """Return the frames that came through the pipe, one on each line, most recent call last; empty if none came.
-
-    Args:
-        patience_s: how long to wait for the first of them.
-    """
+    """Return the frames that came through the pipe within ``patience_s`` [s], most recent call last."""
     written, wait_s, until = b"", patience_s, time.monotonic() + patience_s + WHOLE_S
     while len(written) < MOST_BYTES and time.monotonic() < until and readable_descriptors([fd], wait_s):
         piece = os.read(fd, MOST_BYTES)
@@ -85,25 +70,9 @@ def read_stack(fd: int, *, patience_s: float) -> str:
     )
 
 
-def claim_children() -> None:
-    """Declare that every child that this process has, or adopts from now on, belongs to a policy; adopt orphans."""
-    global _all_children
-    _all_children = True
-    adopt_orphans()
-
-
-def kill_claimed() -> None:
-    """Kill all children of this process, if it called ``claim_children``."""
-    if _all_children:
-        kill_children({})
-
-
 def kill_children(statuses: dict[int, int | None]) -> None:
     """Send SIGKILL to all children of this process, and to those that it adopts meanwhile, until none is left or
     CHILDREN_PATIENCE_S is over. If this process adopts orphans, every descendant becomes a child when its parent ends.
-
-    Args:
-        statuses: see ``reap``.
     """
     until = time.monotonic() + CHILDREN_PATIENCE_S
     last = set[int]()
@@ -120,9 +89,7 @@ def kill_children(statuses: dict[int, int | None]) -> None:
 
 
 def wait_for_children(most_s: float) -> bool:
-    """Wait until this process has no child that lives, such as one that removes files; return whether that is so.
-
-    Call it only in a process that called ``claim_children``."""
+    """Wait until this process has no child that lives, such as one that removes files; return whether that is so."""
     until = time.monotonic() + most_s
     while True:
         with suppress(ChildProcessError):
@@ -134,10 +101,7 @@ def wait_for_children(most_s: float) -> bool:
 
 def reap(statuses: dict[int, int | None], *, most: int = 256) -> bool:
     """Reap up to ``most`` children that have ended, since they can end faster than that; return whether there may be
-    more of them.
-
-    Args:
-        statuses: process id -> exit status, as ``subprocess.Popen.returncode``; filled in for the ids that it holds.
+    more of them. Fill in the exit statuses of those ids that ``statuses`` holds.
 
     Raises ChildProcessError if there is no child.
     """

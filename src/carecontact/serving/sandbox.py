@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from carecontact.serving.fence import allowed, isolate
 from carecontact.serving.namespaces import SHARED_MEMORY, enter, mount_processes, start_init
@@ -58,7 +57,7 @@ class PrivateFolder:
     lock: int
     """Descriptor of the lock, which the kernel releases when the last process that has it ends in any way."""
 
-    def remove(self, *, wait_s: float = REMOVAL_S) -> None:
+    def remove(self, *, wait_s: float | None = REMOVAL_S) -> None:
         """Remove the folder, whatever a policy made in it, and release the lock. It may go on after the wait."""
         try:
             self.path.rmdir()  # This needs no file descriptor, where too many may be open.
@@ -73,17 +72,6 @@ class PrivateFolder:
     def release(self) -> None:
         """Leave the folder to another process that has the lock."""
         os.close(self.lock)
-
-
-def remove_and_exit(path: Path) -> NoReturn:
-    """Remove the folder of a policy and end this process, which turns into another program for that."""
-    with suppress(OSError):
-        path.rmdir()
-        os._exit(0)
-    with suppress(OSError):
-        os.execvpe(_REMOVE[0], [*_REMOVE, str(path)], {"PATH": os.environ.get("PATH", os.defpath)})
-    shutil.rmtree(path, ignore_errors=True)
-    os._exit(0)
 
 
 def private_folder() -> PrivateFolder:
@@ -120,11 +108,8 @@ def _place() -> Path:
 
 
 def _locked(path: Path, *, otherwise_open: bool = False) -> int:
-    """Lock a folder and return the descriptor. Raises BlockingIOError while another process holds the lock.
-
-    Args:
-        otherwise_open: whether to return it without a lock where the file system has none.
-    """
+    """Lock a folder and return the descriptor, without a lock if ``otherwise_open`` where the file system has none.
+    Raises BlockingIOError while another process holds the lock."""
     lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -169,10 +154,10 @@ def start(options: Options) -> None:
     for descriptor in (options["report_fd"], options["stack_fd"]):
         os.close(descriptor)
     _watch(policy, init, options["lifeline_fd"])
-    if init is not None:
-        os._exit(0)
-    # Here and not in the harness, which may end at any moment, and has other things to do if this takes long.
-    remove_and_exit(Path(os.environ["TMPDIR"]))
+    if options["lock_fd"] is not None:
+        # Here and not in the harness, which may end at any moment, and has other things to do if this takes long.
+        PrivateFolder(path=Path(os.environ["TMPDIR"]), lock=options["lock_fd"]).remove(wait_s=None)
+    os._exit(0)
 
 
 def _watch(policy: int, init: int | None, lifeline: int) -> None:

@@ -21,8 +21,6 @@ from carecontact.serving.server import OPTIONS, converse
 
 HOST = "127.0.0.1"
 """Where an object of this process is served."""
-WAITING = 100
-"""Most connections at a time that wait for a place, or have sent nothing yet."""
 FIRST_BYTE_S = 10.0
 """Time [s] for a client to send the first byte of its handshake; an honest one sends it at once."""
 LOAD_DEADLINE_S = 600.0
@@ -42,22 +40,17 @@ def serve_trials(
     on_port: Callable[[int], None],
     on_event: Callable[[str], None],
 ) -> NoReturn:
-    """Serve until the process ends.
-
-    ``on_port`` is called with the port once the server listens, ``on_event`` with a line about each trial, from several
-    threads.
-
-    Raises ConfigError if the server cannot listen.
-    """
+    """Serve until the process ends. ``on_port`` is called with the port once the server listens, ``on_event`` with a
+    line about each trial, from several threads. Raises ConfigError if the server cannot listen."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         listener = socket.create_server((host, port), family=family)
     except OSError as error:
         raise ConfigError(f"cannot listen on {host}, port {port}: {error.strerror or error}") from None
-    slots, door = threading.Semaphore(at_once), threading.Semaphore(at_once + WAITING)
+    slots = threading.Semaphore(at_once)
 
     def serve_one(connection: socket.socket, peer: str) -> None:
-        with connection, door:
+        with connection:
             # A silent client takes no place, and for one that has left meanwhile no policy is started.
             if not _first_byte(connection):
                 on_event(f"{peer}: it connected and sent nothing")
@@ -70,8 +63,7 @@ def serve_trials(
         on_port(listener.getsockname()[1])
         while True:
             try:
-                with door:
-                    connection, (address, number, *_) = listener.accept()
+                connection, (address, number, *_) = listener.accept()
             except OSError as error:
                 if error.errno not in TOO_MANY_FILES:
                     raise
@@ -139,16 +131,10 @@ def _pump(source: socket.socket, sink: socket.socket) -> None:
 
 @contextmanager
 def served(policy: Policy, *, port: int) -> Iterator[str]:
-    """Yield the address at which trials reach the policy; it is served until the block ends.
+    """Yield the address at which trials reach the policy, one at a time, until the block ends.
 
-    One trial at a time talks to the policy, and the next one waits. The policy's methods are called in threads of this
-    process. It is not isolated.
-
-    Args:
-        policy: an object with a card and the methods reset and act.
-        port: port to listen on; 0 chooses a free one.
-
-    Raises ConfigError if the server cannot listen.
+    The policy's methods are called in threads of this process. It is not isolated. Port 0 chooses a free one. Raises
+    ConfigError if the server cannot listen.
     """
     turn = threading.Lock()
 

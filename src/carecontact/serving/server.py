@@ -39,10 +39,8 @@ KINDS: dict[type[Exception], str] = {ActionError: "action", LanguageError: "lang
 
 
 def traceback_text(error: BaseException) -> str:
-    """Return the traceback of an exception in at most TRACEBACK_CHARS, without the harness's own frames.
-
-    Where it has to be cut, the end of the stack and the beginning of the exception's message are kept.
-    """
+    """Return the traceback of an exception without the harness's own frames, in at most TRACEBACK_CHARS: the end of the
+    stack and the beginning of the exception's message."""
     found = traceback.TracebackException.from_exception(error)
     _hide_plumbing(found)
     whole = "".join(found.format())
@@ -73,27 +71,18 @@ def serve_policy(
     """Serve one client on the loopback interface until it closes; ``on_port`` is called with the port once it listens.
 
     ``client_port``: the only port from which a client may connect, since otherwise any process of the machine could
-    take the policy's only connection; None accepts any port.
+    take the policy's only connection; None accepts any port. ``arguments`` and ``environment`` are added to the card.
 
-    The card that the client receives is the policy's own with ``arguments`` and ``environment`` added.
-
-    The policy runs in the calling thread, because libraries for GPU, GUI and asyncio often require it. The messages:
-    ``card`` to the client; then ``reset`` -> ``ready``, ``act`` -> ``actions``, in any number, and ``close``; ``error``
-    instead of an answer ends the conversation. ``actions`` and ``error`` may carry the policy's notes.
+    The policy runs in the calling thread, because libraries for GPU, GUI and asyncio often require it.
     """
     offered: SimpleQueue[ServerConnection | Exception] = SimpleQueue()
     finished = threading.Event()
 
     def hand_over(connection: ServerConnection) -> None:
-        try:
-            came_from = connection.remote_address[1]
-        except OSError:
-            # The client has gone already.
-            return
-        if client_port not in (None, came_from):
-            return
-        offered.put(connection)
-        finished.wait()
+        with suppress(OSError):  # The client may have gone already.
+            if client_port in (None, connection.remote_address[1]):
+                offered.put(connection)
+                finished.wait()
 
     def accept() -> None:
         try:

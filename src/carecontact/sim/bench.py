@@ -49,14 +49,6 @@ class Indenter:
     tip: Tip = EMBODIMENTS["caps"].tip
     """Gives the cap its size and its compliance."""
 
-    def __post_init__(self) -> None:
-        if self.shape not in ("flat", "hemisphere", "cap"):
-            raise ConfigError(f"indenter shape {self.shape!r}; valid: flat, hemisphere, cap")
-        if (self.size_m is None) != (self.shape == "cap"):
-            raise ConfigError("a cap has the shipped tool's size; flat and hemisphere need size_m, their radius")
-        if self.size_m is not None and not 0.001 <= self.size_m <= 0.1:
-            raise ConfigError(f"indenter radius {self.size_m} m; valid: 0.001 to 0.1 m")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Press:

@@ -99,8 +99,7 @@ def skin_shift(scene: Scene, data: mujoco.MjData) -> npt.NDArray[np.float64]:
 
 
 def nearest(places: npt.NDArray[Any], points: npt.NDArray[Any]) -> tuple[npt.NDArray[np.int64], npt.NDArray[Any]]:
-    """The four points nearest to each place, or all where there are fewer, nearest first, and how far they are; (n, 4)
-    each."""
+    """(n, 4) the points nearest to each place (all where there are fewer), nearest first, and their distances."""
     x, y, z = (places[:, None, k] - points[None, :, k] for k in range(3))
     square = x * x + y * y + z * z
     some = np.argpartition(square, min(3, len(points) - 1), axis=1)[:, :4]

@@ -98,8 +98,7 @@ class TargetInterpolator:
         self._duration_s, self._elapsed_s = self._step_s, 0.0
 
     def set_goal(self, pose_in_base: Array | None, period_s: float) -> None:
-        """Move toward a new pose (7,); None continues toward the last one. ``period_s`` is that of the policy's
-        actions."""
+        """Move toward a new pose (7,), or on to the last one for None. ``period_s``: of the policy's actions."""
         if pose_in_base is None:
             return
         self._start, self._goal, self._elapsed_s = self._pose, _unit_pose(pose_in_base), 0.0

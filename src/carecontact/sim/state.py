@@ -40,8 +40,7 @@ class Proprioception:
         return ((jacobian[:, self._dof] @ joint_velocity).reshape(2, 3) @ base).ravel()
 
     def set_joint_position(self, data: mujoco.MjData, joint_position: npt.ArrayLike) -> None:
-        """Set the robot's joints [rad] in a copy of the state that shows the robot alone. Raises ValueError for another
-        shape than (joints,)."""
+        """Set the robot's joints (joints,) [rad]. Raises ValueError for another shape."""
         angles = np.asarray(joint_position, np.float64)
         if angles.shape != self._qpos.shape:
             raise ValueError(f"joint_position: expected {len(self._qpos)} angles [rad], got shape {angles.shape}")

@@ -202,8 +202,7 @@ def worst_rank_paired(
     for lengths that differ or NaN.
     """
     check_pairs(first, second)
-    worst = _worst(better)
-    found = signed_rank(_filled(first, worst), _filled(second, worst), clusters=clusters)
+    found = signed_rank(_filled(first, better), _filled(second, better), clusters=clusters)
     larger, smaller = ("first", "second") if better == "higher" else ("second", "first")
     order = found.rank_sum_first - found.rank_sum_second
     pairs = list(zip(first, second, strict=True))
@@ -225,14 +224,11 @@ def worst_rank_unpaired(
     """
     check_values(first)
     check_values(second)
-    return mann_whitney(_filled(first, _worst(better)), _filled(second, _worst(better)))
+    return mann_whitney(_filled(first, better), _filled(second, better))
 
 
-def _worst(better: Literal["higher", "lower"]) -> float:
-    return -inf if better == "higher" else inf
-
-
-def _filled(values: Sequence[float | None], worst: float) -> list[float]:
+def _filled(values: Sequence[float | None], better: Literal["higher", "lower"]) -> list[float]:
+    worst = -inf if better == "higher" else inf
     return [worst if value is None else value for value in values]
 
 

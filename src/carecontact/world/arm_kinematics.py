@@ -66,44 +66,18 @@ class Arm:
         return total
 
     def margin(self, q: Array) -> Array:
-        """Return (B,) the least distance of any joint from its limit, as a share of half its range: 1 is the middle, 0
-        the limit.
-        """
+        """Return (B,) the least distance of any joint from its limit over half its range; 1 is the middle."""
         half = np.ptp(self.range, axis=1) / 2
         return (np.minimum(q - self.range[:, 0], self.range[:, 1] - q) / half).min(1)
 
     def measures(self, q: Array) -> tuple[Array, Array]:
-        """Return the manipulability sqrt(det(J J^T)) (B,), and the effective mass (B,) [kg] of the tool centre point
-        along the vertical.
-        """
+        """Return manipulability sqrt(det(J J^T)) (B,) and the tool's effective mass (B,) [kg] along the vertical."""
         links = self.links(q)
         jacobian = self.jacobian(links)
         manipulability = np.sqrt(np.maximum(np.linalg.det(jacobian @ jacobian.swapaxes(1, 2)), 0))
         row = jacobian[:, 2:3]
         mobility = row @ np.linalg.solve(self.mass_matrix(links), row.swapaxes(1, 2))
         return manipulability, 1.0 / mobility[:, 0, 0]
-
-    def inverse(
-        self, position: Array, rotation: Array, seed: Array, *, iterations: int = 60, centring: float = 0.12
-    ) -> tuple[Array, Array]:
-        """Solve for postures (B, joints) by damped least squares, with joints centred in the null space; return them
-        and the pose errors (B,).
-        """
-        middle, half = self.range.mean(1), np.ptp(self.range, axis=1) / 2
-        q = seed.copy()
-        for k in range(iterations):
-            links = self.links(q)
-            jacobian = self.jacobian(links)
-            step = self.pose_error(links, position, rotation)
-            scale = np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
-            damped = jacobian @ jacobian.swapaxes(1, 2) + 1e-5 * np.eye(6)
-            inverse = np.linalg.solve(damped, jacobian).swapaxes(1, 2)
-            # The cubic hardly moves joints in mid-range and pushes those near a limit back.
-            wish = -centring * ((q - middle) / half) ** 3 * half * (k < iterations - 12)
-            task = (jacobian @ wish[:, :, None])[:, :, 0]
-            q = q + (inverse @ (step * scale - task)[:, :, None])[:, :, 0] + wish
-            q = np.clip(q, self.range[:, 0], self.range[:, 1])
-        return q, np.linalg.norm(self.pose_error(self.links(q), position, rotation), axis=1)
 
     @staticmethod
     def pose_error(links: Array, position: Array, rotation: Array) -> Array:
@@ -113,9 +87,7 @@ class Arm:
 
 
 def pointing_down(yaw: Array) -> Array:
-    """Return rotations (..., 3, 3) with the tool's z pointing down and the hand's x turned by ``yaw`` [rad] from world
-    x.
-    """
+    """Return rotations (..., 3, 3): the tool's z points down, the hand's x is ``yaw`` [rad] from world x."""
     c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     columns = [np.stack([c, s, zero], -1), np.stack([s, -c, zero], -1), np.stack([zero, zero, zero - 1], -1)]
     return np.stack(columns, -1)

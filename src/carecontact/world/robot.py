@@ -63,9 +63,7 @@ Array = npt.NDArray[np.float64]
 
 @lru_cache(maxsize=1)
 def arrays_of(arm: Baked) -> dict[str, npt.NDArray[np.generic]]:
-    """Return the arrays of a baked arm. Raises AssetError if the file is missing or does not match its provenance
-    record.
-    """
+    """Return the arrays of a baked arm. Raises AssetError for a missing file or one without its stated hash."""
     name = arm.name
     try:
         data = arm.file().read_bytes()
@@ -142,9 +140,7 @@ def _add_baked(spec: mujoco.MjSpec, robot: Robot, source: Baked, place: dict[str
 
 
 def _attach(spec: mujoco.MjSpec, robot: Robot, source: Mjcf, place: dict[str, Any]) -> mujoco.MjsBody:
-    """Add the arm of an MJCF text: compensated for its weight, without its own actuators, in the groups and with the
-    contact bits of every robot here.
-    """
+    """Add the arm of an MJCF text, weightless, without its actuators, in this module's groups and contact bits."""
     arm = mujoco.MjSpec.from_string(source.text, assets=dict(source.files))
     for row in [*arm.actuators, *arm.sensors, *arm.keys]:
         arm.delete(row)
@@ -217,9 +213,7 @@ def _add_pedestal(base: mujoco.MjsBody, height_m: float) -> None:
 
 
 def _add_tool(spec: mujoco.MjSpec, hand: mujoco.MjsBody, meshes: list[str], robot: Robot) -> None:
-    """Add the closed fingers (visual), the shaft that represents them in collisions, the tip that is meant to touch,
-    and the tool centre point.
-    """
+    """Add the closed fingers (visual), the shaft that collides for them, the tip, and the tool centre point."""
     tip = robot.tip
     for name in meshes:
         _, kind, link, part = name.split("_")

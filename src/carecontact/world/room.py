@@ -84,9 +84,7 @@ def add_towel(spec: mujoco.MjSpec, half_m: tuple[float, float]) -> None:
 
 
 def add_light(spec: mujoco.MjSpec) -> None:
-    """Add a soft headlight and one directional light without shadows, which would take longer than the rest of an
-    image.
-    """
+    """Add a soft headlight and directional lights without shadows, which cost more than the rest of an image."""
     light = spec.visual.headlight
     light.ambient, light.diffuse, light.specular = [0.30] * 3, [0.18] * 3, [0.0] * 3
     for position, direction, strength in (

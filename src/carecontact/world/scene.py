@@ -143,9 +143,7 @@ class Scene:
 
     @property
     def region_size_m(self) -> Array:
-        """(R, 3) [m] of each region: length along the axis, mean radius (abdomen: half width) and outward radius at the
-        middle.
-        """
+        """(R, 3) [m]: length along the axis, mean radius (abdomen: half width), outward radius at the middle."""
         return np.array([frame.size_m for frame in self.frames.values()])
 
     @property
@@ -251,9 +249,7 @@ def controlled(scene: Scene, control: Control) -> Scene:
 
 
 def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
-    """Copy to a model what was changed in another one after its compilation: appearance, light, place of the person,
-    rest angles.
-    """
+    """Copy what was changed after the compilation: appearance, light, place of the person, rest angles."""
     kept = ("actuator_", "tendon_", "wrap_", "sensor_", "name", "_", "jnt_actfrcrange")
     for name in dir(source):
         value = None if name.startswith(kept) else getattr(source, name)
@@ -262,9 +258,7 @@ def copy_settings(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
 
 
 def set_physics(spec: mujoco.MjSpec, *, dt_s: float) -> None:
-    """Set units, integrator and solver, which are the same for every model with tissue, so that the tissue bench
-    responds as the scene does.
-    """
+    """Set units, integrator and solver, the same for scene and tissue bench, so that both respond alike."""
     spec.compiler.degree = False
     spec.option.timestep = dt_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -314,6 +314,12 @@ def test_the_robot_s_own_tool_is_dragged_hard_and_pulled_slowly() -> None:
 # read the wrong way round is none of the others.
 
 
+def test_joint_torques_account_for_the_dry_friction_of_the_exams_robot() -> None:
+    found = force_balance.run(Subject(load_protocol("bathing-wide-v2", level="L0")), quick=True)
+    torques = next(m for m in found.measures if "joint torques" in m.name)
+    assert torques.value < 0.01
+
+
 def test_force_balances_by_independent_paths(short_form: Callable[[str], CheckResult]) -> None:
     result = short_form("force-balance")
     assert result.missed == []

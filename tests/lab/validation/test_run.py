@@ -133,6 +133,14 @@ def test_the_protocols_person_misses_nothing_in_the_short_form(
     assert any(m.limit is not None for m in result.measures)
 
 
+@pytest.mark.slow
+def test_trials_with_undefined_readings_are_deterministic() -> None:
+    """A policy of the exam that asks for no second look is sent no second camera pose, which a recording has as NaN."""
+    from carecontact.lab.validation import determinism
+
+    assert determinism.run(Subject(load_protocol("bathing-wide-v2", level="L2")), quick=True).missed == []
+
+
 def result(*measures: Measure, error: str | None = None) -> CheckResult:
     return CheckResult(check="c", title="C", measures=measures, error=error)
 

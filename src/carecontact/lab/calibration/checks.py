@@ -254,8 +254,7 @@ def _phases_of_path(time: Array, depth: Array, force: Array, fault: _Fault) -> n
 
 
 def _with_speeds(trials: list[Trial]) -> list[Trial]:
-    """Return the trials with the nominal speed of those for which none is stated: the middle of all that are alike,
-    with two digits."""
+    """Return the trials, without a stated speed with the middle of all that are alike, to two digits."""
     missing = {k: _speed(trial) for k, trial in enumerate(trials) if not trial.condition.speed_m_s}
     out, order = list(trials), sorted(missing, key=lambda k: missing[k])
     while order:

@@ -152,8 +152,7 @@ def _decoded(data: bytes, path: Path) -> str:
 
 
 def _header(head: Sequence[str], path: Path) -> _Header:
-    """Return the first line that names time, indentation and force. Raises ConfigError for the line that comes nearest
-    to it."""
+    """Return the first line that names time, indentation and force. Raises ConfigError for the nearest to it."""
     declared = re.fullmatch(r"\ufeff?sep=(.)\s*", head[0]) if head else None
     found = [
         _Header(number, delimiter, [_field(text) for text in fields])

@@ -45,8 +45,6 @@ class Replayed:
     """One simulated press on its group's grid of depths; nan where the group has no loading or unloading."""
 
     press: Press
-    zero_m: float
-    """Indentation at which the simulated force passed the group's touch force."""
     loading_n: Array
     unloading_n: Array
 
@@ -129,7 +127,7 @@ class Replay:
         loading, unloading = np.interp(grid, depth[: turn + 1] - zero, force[: turn + 1]), np.full(len(GRID), np.nan)
         if group.unloads:
             unloading = np.interp(grid, (depth[turn:] - zero)[::-1], force[turn:][::-1])
-        return Replayed(press=press, zero_m=zero, loading_n=loading, unloading_n=unloading)
+        return Replayed(press=press, loading_n=loading, unloading_n=unloading)
 
 
 def on_trial(replayed: Replayed, group: Group, curve: Curve) -> tuple[Array, Array]:

@@ -46,8 +46,7 @@ def measured_facts(file: TrialFile, curves: Sequence[Curve]) -> dict[str, Any]:
 
 
 def simulated_stiffness(groups: Sequence[Group], replayed: Sequence[Replayed]) -> dict[str, float]:
-    """Return the secant stiffness to the deepest point and the tangent stiffness over the deeper half [N/mm], each as
-    the mean over all trials."""
+    """Return the mean secant stiffness to the deepest point and tangent stiffness over the deeper half [N/mm]."""
     weight, pairs = [len(g.members) for g in groups], list(zip(groups, replayed, strict=True))
     secants = [one.loading_n[-1] / g.deepest_m / 1000 for g, one in pairs]
     tangents = [tangent(GRID * g.deepest_m, one.loading_n) / 1000 for g, one in pairs]

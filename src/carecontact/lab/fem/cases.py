@@ -67,8 +67,7 @@ SKINS = (MIDDLE, *CORNERS)
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Tissue that is bonded to rigid bone at ``thickness_m`` under its surface. It is infinite along and, if flat,
-    across."""
+    """Tissue bonded to rigid bone ``thickness_m`` under its surface; infinite along and, if flat, across."""
 
     thickness_m: float
     """Thickness of the skin and the tissue below it together."""
@@ -115,8 +114,7 @@ class Tool:
         return _dome(np.maximum(r - face, 0.0) / up, up, STEEPEST)
 
     def reach_m(self, depth_m: float) -> float:
-        """Return the distance from the axis up to which the tool can touch at this depth; a disc touches up to its
-        radius."""
+        """Return the distance from the axis up to which the tool can touch at this depth."""
         a, b, up = self.semi_axes_m
         if self.shape == "disc":
             return a
@@ -125,8 +123,7 @@ class Tool:
 
 
 def _dome(share: Array, up_m: float, steepest: float) -> Array:
-    """Return the height of half an ellipse at a share of its half width, continued straight from where its slope is
-    ``steepest``."""
+    """Return the height of half an ellipse at a share of its half width, straight from a ``steepest`` slope on."""
     last = steepest / np.hypot(1.0, steepest)
     inside = np.minimum(share, last)
     return up_m * (1 - np.sqrt(1 - inside**2) + steepest * np.maximum(share - last, 0.0))
@@ -221,8 +218,7 @@ class Curve:
     """For each press, increasing travel past geometric touch (n,) [m] and force (n,) [N]."""
 
     def at(self, depths_m: Array, *, touch_n: float = TOUCH_N) -> Array:
-        """Return the mean force (k,) [N] at depths past each press's own touch, where its force first exceeds
-        ``touch_n``."""
+        """Return the mean force (k,) [N] at depths past each press's touch, where it first exceeds ``touch_n``."""
         return np.mean(
             [np.interp(depths_m, d - touch_m(d, force, touch_n), force) for d, force in self.presses], axis=0
         )
@@ -273,14 +269,10 @@ class Answer:
         force = np.log([self.curves[tool.name].at(DEPTHS_M) for tool in tools])
         return np.polyfit(np.log([tool.radius_m for tool in tools]), force, 1)[0]
 
-    def shares(self, case: Case, *, touch_n: float = TOUCH_N) -> Array:
+    def shares(self, case: Case) -> Array:
         """Return the force (d,) of the reference's own indenter at DEPTHS_M, divided by that at the deepest of them."""
-        force = self.curves[case.main.name].at(DEPTHS_M, touch_n=touch_n)
+        force = self.curves[case.main.name].at(DEPTHS_M)
         return force / force[-1]
-
-    def dimple_at(self, distances_m: Array) -> Array:
-        """Return the share (k,) of the main tool's travel by which the surface sank at these distances [m]."""
-        return np.interp(distances_m, RINGS_M, self.dimple)
 
     def beside_at(self, distances_m: Array) -> Array:
         """Return the share (k,) of ``beside`` at these distances [m]."""
@@ -288,8 +280,7 @@ class Answer:
 
 
 def touch_m(travel_m: Array, force_n: Array, threshold_n: float) -> float:
-    """Return the interpolated travel [m] at which a press first exceeds the threshold. Raises CarecontactError if it
-    never does."""
+    """Return the travel [m] at which a press first exceeds the threshold; CarecontactError if it never does."""
     over = np.flatnonzero(force_n > threshold_n)
     if not len(over):
         raise CarecontactError(f"a press never exceeds {threshold_n} N")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +14,11 @@ from carecontact.lab.fem.cases import (
     CASES,
     DEPTHS_M,
     DIMPLE_M,
-    FRICTION,
     MATCHED_M,
     MIDDLE,
     OTHER_FRICTION,
     OTHER_POISSON,
     PLAIN,
-    POISSON,
     RINGS_M,
     SKINS,
     TABLE_WAYS_M,
@@ -33,12 +29,11 @@ from carecontact.lab.fem.cases import (
     Tool,
 )
 from carecontact.lab.fem.solve import MARGIN, Block, Sample
-from carecontact.lab.validation.result import Array
+from carecontact.lab.validation.result import Array, Figure
 from carecontact.lab.validation.subject import Subject
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 POINTS = "%"
@@ -93,7 +88,11 @@ def _curves(case: Case) -> Rows:
 
 def _dimples(case: Case) -> Rows:
     of = f"{case.main.name},"
-    yield [f"dimple, {of} {_mm(far)} from its axis" for far in DIMPLE_M], "", lambda a: a.dimple_at(DIMPLE_M)
+    yield (
+        [f"dimple, {of} {_mm(far)} from its axis" for far in DIMPLE_M],
+        "",
+        lambda a: np.interp(DIMPLE_M, RINGS_M, a.dimple),
+    )
     if case.ground.limb_radius_m is not None:
         names = [f"dimple around the limb, {of} {_mm(far)} from its axis" for far in BESIDE_M]
         yield names, "", lambda a: a.beside_at(BESIDE_M)
@@ -118,16 +117,9 @@ def _mm(length_m: float) -> str:
     return f"{1000 * length_m:g} mm"
 
 
-FILE = "standards.json"
-SCHEMA = "carecontact-fem-standards-1"
-"""A small file of the finite elements' results, which ``tools/fem_table.py`` writes, so that a tissue can be compared
-in seconds without solving anything: read ``standards()``, compute the tissue's response to the same tools, and ask each
-standard how far the quantity lies outside."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Standard:
-    """One quantity of one region by finite elements."""
+    """One quantity of one region by finite elements; ``tools/fem_table.py`` keeps a table of them."""
 
     region: str
     name: str
@@ -152,41 +144,6 @@ def made(case: Case, plain: Answer, skins: tuple[Answer, ...]) -> list[Standard]
         name, unit = quantity.name, quantity.unit
         out.append(Standard(region=case.region, name=name, unit=unit, skins=tuple(values), plain=without))
     return out
-
-
-def standards() -> list[Standard]:
-    """Return the stored standards, of CASES with their own grounds."""
-    stored = json.loads((files("carecontact.lab.fem") / FILE).read_text())
-    return [
-        Standard(region=region, name=name, unit=unit, skins=tuple(skins), plain=plain)
-        for region, held in stored["regions"].items()
-        for name, unit, plain, *skins in held["rows"]
-    ]
-
-
-def as_text(found: dict[str, tuple[Answer, tuple[Answer, ...]]]) -> str:
-    """Return the file's text, with a line for each quantity, from each region's answers without skin and with each of
-    SKINS."""
-    head = {
-        "schema": SCHEMA, "written_by": "tools/fem_table.py",
-        "columns": ["name", "unit", "no skin", *(skin.name for skin in SKINS)],
-        "skins": {s.name: {"thickness_m": s.thickness_m, "modulus_pa": s.modulus_pa} for s in SKINS},
-        "poisson": POISSON, "friction": FRICTION, "touch_n": TOUCH_N, "matched_m": MATCHED_M,
-        "sources": "skin, Poisson's ratio, friction: materials.py; grounds: cases.py; published curves: "
-                   "lab/validation/rig.py",
-    }  # fmt: skip
-    regions = []
-    for case in CASES:
-        plain, skins = found[case.region]
-        about = {
-            "thickness_m": case.ground.thickness_m, "limb_radius_m": case.ground.limb_radius_m,
-            "published": case.reference.name, "tool": case.main.name,
-            "tissue_pa": [rounded(answer.modulus_pa) for answer in (plain, *skins)],
-        }  # fmt: skip
-        rows = [json.dumps([s.name, s.unit, s.plain, *s.skins]) for s in made(case, plain, skins)]
-        lines = ",\n   ".join(rows)
-        regions.append(f' "{case.region}": {{{json.dumps(about)[1:-1]},\n  "rows": [\n   {lines}]}}')
-    return f'{{{json.dumps(head)[1:-1]},\n"regions": {{\n' + ",\n".join(regions) + "}}\n"
 
 
 def rounded(value: float) -> float:
@@ -257,8 +214,7 @@ def judged(case: Case) -> tuple[Answer, tuple[Answer, ...]]:
 
 
 def _extras(case: Case, middle: Answer) -> dict[str, float]:
-    """Return further numbers for the middle skin: those of a second method, and the changes by another Poisson's ratio
-    and another friction."""
+    """Return, for the middle skin, numbers of a second method, of other Poisson's ratios and other friction."""
     sample = solve.sample(case, MIDDLE, middle)
     name = case.main.name
     out = {f"force of the {name} at 4 mm by hexahedra over the table's": _second(case, sample)}
@@ -299,18 +255,17 @@ def as_json(comparisons: list[Comparison]) -> dict[str, object]:
                 "poisson": done.case.ground.poisson, "tissue_pa": [rounded(a.modulus_pa) for a in done.skins],
                 "tissue_pa_plain": rounded(done.plain.modulus_pa),
                 "finite_elements_alone": {name: rounded(value) for name, value in done.extras.items()},
-                "rows": [_row_json(row) for row in done.rows()],
+                "rows": [
+                    {
+                        "name": row.standard.name, "unit": row.standard.unit, "skins": list(row.standard.skins),
+                        "plain": row.standard.plain, "simulated": rounded(row.simulated),
+                        "outside_percent": rounded(row.outside_percent),
+                    }
+                    for row in done.rows()
+                ],
             }
             for done in comparisons
         },
-    }  # fmt: skip
-
-
-def _row_json(row: Row) -> dict[str, object]:
-    return {
-        "name": row.standard.name, "unit": row.standard.unit, "skins": list(row.standard.skins),
-        "plain": row.standard.plain, "simulated": rounded(row.simulated),
-        "outside_percent": rounded(row.outside_percent),
     }  # fmt: skip
 
 

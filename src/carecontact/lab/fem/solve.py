@@ -237,13 +237,12 @@ class Block:
         return 4 * float(push.sum())
 
 
-def graded(fine_m: float, fine_to_m: float, end_m: float, growth: float = GROWTH) -> Array:
-    """Return coordinates (n,) from 0 to ``end_m``: steps of at most ``fine_m`` up to ``fine_to_m``, then growing
-    ones."""
+def graded(fine_m: float, fine_to_m: float, end_m: float) -> Array:
+    """Return coordinates (n,) from 0 to ``end_m``: steps of at most ``fine_m`` to ``fine_to_m``, then larger."""
     points = list(np.linspace(0.0, min(fine_to_m, end_m), max(1, int(np.ceil(min(fine_to_m, end_m) / fine_m))) + 1))
     step, rest = fine_m, []
     while points[-1] + sum(rest) < end_m - 1e-12:
-        step *= growth
+        step *= GROWTH
         rest.append(step)
     scale = (end_m - points[-1]) / sum(rest) if rest else 1.0
     return np.r_[points, points[-1] + scale * np.cumsum(rest)]
@@ -282,8 +281,7 @@ def _stiffness(basis: Any, modulus_pa: Array, poisson: float) -> csc_matrix:
 
 
 def _products(basis: Any) -> Array:
-    """Return (elements, i, a, j, b): the integral of the derivative of function i along a times that of function j
-    along b."""
+    """Return (elements, i, a, j, b): integrals of the derivatives of function i along a times j along b."""
     slopes = np.stack([np.asarray(function[0].grad) for function in basis.basis])
     weighted = np.einsum("iaeq,eq->eiaq", slopes, np.sqrt(basis.dx))
     count, functions = weighted.shape[:2]

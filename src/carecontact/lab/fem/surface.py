@@ -74,8 +74,7 @@ def _elements(medium: Medium, top_m: float, growth: float) -> list[tuple[float, 
 
 
 def _element(medium: Medium, low_m: float, high_m: float, modulus: float) -> Array:
-    """Return the stiffness (6, 9, 9) of a quadratic element for each of _POWERS, with three nodes from below and (u, v,
-    w) at each."""
+    """Return stiffness (6, 9, 9) of a quadratic element by _POWERS: three nodes from below, (u, v, w) at each."""
     poisson = medium.ground.poisson
     first = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
     second = modulus / (2 * (1 + poisson))
@@ -134,12 +133,12 @@ OVERSAMPLED = 2
 class Spectrum:
     """The compliance of a medium for every wave up to a largest wavenumber [rad/m]."""
 
-    def __init__(self, medium: Medium, most: float, *, waves: int = WAVES) -> None:
+    def __init__(self, medium: Medium, most: float) -> None:
         self.medium, self.most = medium, most
         near = FIRST / medium.ground.thickness_m
-        self._at = near * np.sinh(np.linspace(0.0, np.arcsinh(1.001 * most / near), waves))
+        self._at = near * np.sinh(np.linspace(0.0, np.arcsinh(1.001 * most / near), WAVES))
         q, k = (wave.ravel() for wave in np.meshgrid(self._at, self._at, indexing="ij"))
-        found = surface_compliance(medium, q, k).reshape(waves, waves, 3, 3)
+        found = surface_compliance(medium, q, k).reshape(WAVES, WAVES, 3, 3)
         # Compliance is proportional to the wavelength for short waves: the interpolated quantity is nearly constant.
         size = self._size(self._at[:, None], self._at[None, :])
         self._splines = {
@@ -149,8 +148,7 @@ class Spectrum:
         }
 
     def __call__(self, q: Array, k: Array, a: int, b: int) -> Array:
-        """Return the compliance (len(q), len(k)) of displacement ``a`` by traction ``b``, where 0 is u, 1 is v and 2 is
-        w."""
+        """Return the compliance (len(q), len(k)) of displacement ``a`` by traction ``b``: 0 is u, 1 v, 2 w."""
         odd = lambda wave, axis: np.where((a == axis) != (b == axis), np.sign(wave), 1.0)  # noqa: E731
         spline = self._splines[min(a, b), max(a, b)]
         rows, order = np.unique(np.abs(q), return_inverse=True)
@@ -188,10 +186,6 @@ class Kernel:
             self._values[a, b] = self._sum(a, b)
         return self._values[a, b]
 
-    def between(self, apart: npt.NDArray[np.int64], a: int, b: int) -> Array:
-        """Return ``values`` at distances (..., 2) in patches."""
-        return self.values(a, b)[apart[..., 0], apart[..., 1]]
-
     def _sum(self, a: int, b: int) -> Array:
         fine = [OVERSAMPLED * count for count in self.shape]
         q, k = (
@@ -225,8 +219,7 @@ SAMPLES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """Patches of a surface. Each also represents its mirror images. Displacement and gap of a patch are means over
-    it."""
+    """Patches of a surface, each also for its mirror images; displacement and gap are means over a patch."""
 
     kernel: Kernel
     limb_radius_m: float | None
@@ -241,8 +234,7 @@ class Surface:
 
     @cached_property
     def points_m(self) -> Array:
-        """Sample points (m, SAMPLES^2, 3) of each patch: their places along and across, and their depth under the
-        limb's top."""
+        """Sample points (m, SAMPLES^2, 3) of each patch: along, across, and depth under the limb's top."""
         inside = (np.arange(SAMPLES) + 0.5) / SAMPLES
         across = (self.places[:, 0, None] + inside) * self.kernel.step_m[0]
         along = (self.places[:, 1, None] + inside) * self.kernel.step_m[1]
@@ -265,8 +257,7 @@ class Surface:
         return (depth_m - drop - tool.height(along - moved, across)).mean(1)
 
     def compliance(self, to: tuple[int, ...], by: tuple[int, ...]) -> Array:
-        """Return displacements (len(to) m, len(by) m) in the directions ``to`` by forces in the directions ``by`` on
-        each patch and its mirror images."""
+        """Return displacements (len(to) m, len(by) m) along ``to`` by forces along ``by`` on patches and images."""
         m = len(self.places)
         found = np.zeros((len(to) * m, len(by) * m))
         here = self._directions(self.places)
@@ -280,7 +271,7 @@ class Surface:
                     left, right = here[list(to), a], there[list(by), b]
                     if not (left.any() and right.any()):
                         continue
-                    value = self.kernel.between(apart, a, b)
+                    value = self.kernel.values(a, b)[apart[..., 0], apart[..., 1]]
                     for i, one in enumerate(left):
                         for j, two in enumerate(right):
                             if one.any() and two.any():
@@ -317,8 +308,7 @@ class Surface:
         return places[upper], inward[upper], sunk[upper]
 
     def _directions(self, places: npt.NDArray[np.int64]) -> Array:
-        """Return the directions PRESS, ALONG and ACROSS (3, 3, n) at each patch, in its own directions outward, across,
-        along."""
+        """Return PRESS, ALONG and ACROSS (3, 3, n) at each patch, in its own directions outward, across, along."""
         radius = self.limb_radius_m
         middle = (places[:, 0] + 0.5) * self.kernel.step_m[0]
         angle = np.zeros(len(places)) if radius is None else middle / radius

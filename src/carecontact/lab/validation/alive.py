@@ -5,8 +5,7 @@ the protocol states."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -14,10 +13,11 @@ import numpy.typing as npt
 
 from carecontact.human.breathing import breath_body
 from carecontact.human.hulls import PLATES, plate_body
+from carecontact.human.mesh import normals_and_areas
 from carecontact.human.skeleton import body_name
 from carecontact.interface.geometry import Triangles, matrix_from_quat
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.subject import COMFORT_ARM_DEG, Subject, force_norm, move_to, surface_point
 from carecontact.protocol.person import Alive, Breathing, Repositioning
 from carecontact.sim.rendering import SceneRenderer
@@ -25,10 +25,6 @@ from carecontact.sim.simulation import Samples, Simulation
 from carecontact.sim.state import skin_in_world
 from carecontact.tissue.life import JOINTS, PARTS, Life, MotionScript, Move, breath
 from carecontact.world.randomization import LIFT_RAD
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
@@ -50,12 +46,8 @@ STEEPEST = 0.5
 changes its depth by as much as a breath moves it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    skin: Array
-    """(V, 3) visible skin in the world [m]"""
-    depth: Array
-    """(H, W) [m]"""
+Look = tuple[Array, Array]
+"""Visible skin in the world (V, 3) [m], and depth image (H, W) [m]."""
 
 
 def breath_measures(living: Subject, script: MotionScript) -> Iterator[Measure]:
@@ -96,7 +88,7 @@ def breathe(living: Subject, script: MotionScript) -> dict[str, tuple[Array, Fla
         def look() -> Look:
             mujoco.mj_forward(scene.model, simulation.data)
             depth = renderer.depth(simulation.data, CAMERA).astype(np.float64)
-            return Look(skin=skin_in_world(scene.model, simulation.data), depth=depth)
+            return skin_in_world(scene.model, simulation.data), depth
 
         before = look()
         simulation.advance(round(script.inspiration_share / script.breath_hz / scene.model.opt.timestep))
@@ -106,7 +98,7 @@ def breathe(living: Subject, script: MotionScript) -> dict[str, tuple[Array, Fla
             outward = simulation.data.joint(breath_body(part)).xaxis
             places = vertices[inner][:: max(1, int(inner.sum()) // LOOKS)]
             off = _depth_off(simulation, renderer, before, after, places, size * outward)
-            found[part] = (after.skin - before.skin)[vertices] @ outward, inner, off
+            found[part] = (after[0] - before[0])[vertices] @ outward, inner, off
     return found
 
 
@@ -127,7 +119,7 @@ def _over_plates(simulation: Simulation) -> tuple[Indices, Flags]:
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
     hulls = np.concatenate([_world_vertices(model, data, geom) for geom in geoms])
     skin = skin_in_world(model, data)
-    normals = _normals(skin, np.asarray(model.skin_face))
+    normals = normals_and_areas(skin, np.asarray(model.skin_face))[0]
     ahead = np.flatnonzero(normals @ front > STEEPEST)
     vertices = ahead[[bool(np.linalg.norm(hulls - at, axis=1).min() < OVER_PLATE_M) for at in skin[ahead]]]
     away = np.linalg.norm(skin[vertices][:, None, :2] - data.xipos[bodies][None, :, :2], axis=2)
@@ -141,41 +133,33 @@ def _world_vertices(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Ar
     return data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T
 
 
-def _normals(vertices: Array, faces: Indices) -> Array:
-    """Return the outward unit normals (V, 3) of a surface."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    out = np.zeros_like(vertices)
-    for corner in faces.T:
-        np.add.at(out, corner, np.cross(b - a, c - a))
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
-
-
 def _depth_off(
     simulation: Simulation, renderer: SceneRenderer, before: Look, after: Look, vertices: Indices, moved: Array
 ) -> Array:
     """Return (k,) how much nearer the visible places came, minus what the rays of their pixels meet of skin that moved
     as a whole by ``moved`` (3,)."""
+    (skin, depth), (_, depth_after) = before, after
     faces = np.asarray(simulation.model.skin_face)
     base = simulation.pose_base_in_world
     camera, matrix = renderer.pose_camera_in_base(simulation.data, CAMERA), renderer.intrinsics(CAMERA)
     turn = matrix_from_quat(base[3:]) @ camera[:3, :3]
     eye = base[:3] + matrix_from_quat(base[3:]) @ camera[:3, 3]
-    local = (before.skin[vertices] - eye) @ turn
+    local = (skin[vertices] - eye) @ turn
     pixels = np.rint(local[:, :2] / local[:, 2:] * matrix[[0, 1], [0, 1]] + matrix[:2, 2]).astype(int)
     rows = []
-    normals = _normals(before.skin, faces)[vertices]
-    surface = Triangles(before.skin[faces])
+    normals = normals_and_areas(skin, faces)[0][vertices]
+    surface = Triangles(skin[faces])
     for (u, v), point, normal in zip(pixels, local, normals, strict=True):
-        if not (WINDOW <= v < before.depth.shape[0] - WINDOW and WINDOW <= u < before.depth.shape[1] - WINDOW):
+        if not (WINDOW <= v < depth.shape[0] - WINDOW and WINDOW <= u < depth.shape[1] - WINDOW):
             continue
         ray = turn @ np.array([(u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1], 1.0])
         length = float(np.linalg.norm(ray))
-        if -(normal @ ray) / length < STEEPEST or abs(before.depth[v, u] - point[2]) > SEEN_M:
+        if -(normal @ ray) / length < STEEPEST or abs(depth[v, u] - point[2]) > SEEN_M:
             continue
         # Skin that moves outward is nearer along a ray by as much as the ray's origin seems to move inward.
         hits = surface.first_hits(np.stack([eye, eye - moved]), np.stack([ray, ray]) / length)
         window = slice(v - WINDOW, v + WINDOW + 1), slice(u - WINDOW, u + WINDOW + 1)
-        rows.append(float(np.median(before.depth[window] - after.depth[window])) - float(hits[0] - hits[1]) / length)
+        rows.append(float(np.median(depth[window] - depth_after[window])) - float(hits[0] - hits[1]) / length)
     return np.array(rows)
 
 
@@ -286,8 +270,7 @@ def _force(samples: list[Samples]) -> Array:
 
 
 def arm(living: Subject) -> list[Measure]:
-    """Return how much the distance that the wrist moves differs from the wanted one, for the arm as it was laid down
-    and after something pushed it aside."""
+    """Return how far off the wanted distance the wrist moves, as the arm was laid down and after a push aside."""
     found: list[Measure] = []
     for name, aside_rad in (("as it was laid", 0.0), ("after a push", ASIDE_RAD)):
         simulation = living.at_rest(REGION)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.rig import ABDOMEN, FITTED, FOREARM, REFERENCES, SPEED_M_S, Reference, person_bench
 from carecontact.lab.validation.subject import Subject
 from carecontact.protocol.overrides import load_tissue_set
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Calibration residual"
 NRMSE_LIMIT_PERCENT, WORST_LIMIT_PERCENT = 5.0, 10.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from carecontact.errors import ConfigError, SceneError
 from carecontact.human.shell import Shell
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.rig import (
     ABDOMEN,
     FOREARM,
@@ -32,7 +32,6 @@ from carecontact.sim.bench import Bench, Indenter, Shape
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TITLE = "Convergence in time step and mesh"
 MOTIONS = (PRESS, SCRUB)
@@ -187,8 +186,7 @@ def _over_the_skin(shell: Shell, point: Array, frame: Array) -> np.polynomial.Po
 def _held_scrub(
     subject: Subject, region: str, at: tuple[Array, Array], skin: np.polynomial.Polynomial
 ) -> tuple[float, float]:
-    """Return the largest force [N] and the standard deviation [N] of the force in contact, while the tool presses down
-    and goes once back and forth."""
+    """Return peak and standard deviation [N] of the force while the tool presses and goes once back and forth."""
     rig = Rig(subject, region, robot_tool(subject), joints="slides", mass_kg=HEAVY_KG, at=at)
     dt, data = rig.model.opt.timestep, rig.data
     down = np.arange(0.0, SCRUB_DEPTH_M + SCRUB_FROM_M, SCRUB_M_S / 2 * dt)

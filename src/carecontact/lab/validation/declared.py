@@ -7,7 +7,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,14 +17,10 @@ from carecontact.human.hulls import plate_body, plates_of
 from carecontact.human.shell import Shell
 from carecontact.human.skeleton import body_name, cubic_nm_rad3, end_stop_nm, stop_name
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.subject import Subject
 from carecontact.tissue.plugin import Readings
 from carecontact.world.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 KICK_M_S = 0.02
 """Speed of the kick; the skin moves by some 10 um, so that its spring is linear."""

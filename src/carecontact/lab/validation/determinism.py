@@ -7,17 +7,16 @@ import json
 import subprocess
 import sys
 import tempfile
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from carecontact.errors import RecordingError
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.subject import Subject, axes, move_to, surface_point
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import canonical_hash, read_recording
@@ -25,9 +24,6 @@ from carecontact.recording.schema import Recording
 from carecontact.scoring.contact import find_contact
 from carecontact.serving.conversation import PolicySetup
 from carecontact.sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Determinism"
 TRIAL_S, QUICK_TRIAL_S = 20.0, 7.5
@@ -43,7 +39,7 @@ def run(subject: Subject, *, quick: bool) -> CheckResult:
     protocol = subject.protocol.model_copy(update={"phases": phases})
     recordings = first, second = two_recordings(TrialSpec(protocol=protocol, task_id=TASK, seed=SEED, policy=POLICY))
     kept = [path for path in first.arrays if not path.startswith("wall/")]
-    different = sum(not np.array_equal(first.arrays[path], second.arrays[path]) for path in kept)
+    different = sum(first.arrays[path].tobytes() != second.arrays[path].tobytes() for path in kept)
     hashes = {canonical_hash(recording) for recording in recordings}
     contacts = [find_contact(recording) for recording in recordings]
     time, force = contacts[0].time_s, contacts[0].force_norm
@@ -103,18 +99,15 @@ def two_recordings(spec: TrialSpec) -> tuple[Recording, Recording]:
     """Run a trial twice in fresh processes at once. Raises RecordingError or OSError if one leaves nothing."""
     command, quiet = [sys.executable, "-m", "carecontact.running.worker"], subprocess.DEVNULL
     request = {"spec": spec.model_dump(mode="json"), "policy": asdict(PolicySetup.of(spec.policy))}
-    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        paths, running = [Path(folder) / f"{n}.h5" for n in (1, 2)], []
-        for path in paths:
-            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet)
-            stack.callback(process.kill)
-            assert process.stdin is not None
-            process.stdin.write(json.dumps({**request, "out": str(path)}).encode())
-            process.stdin.close()
-            running.append(process)
+
+    def record(path: Path) -> None:
+        given = json.dumps({**request, "out": str(path)}).encode()
+        subprocess.run(command, input=given, stdout=quiet, stderr=quiet, timeout=LONGEST_S)
+
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor() as pool:
+        paths = [Path(folder) / f"{n}.h5" for n in (1, 2)]
         try:
-            for process in running:
-                process.wait(LONGEST_S)
+            list(pool.map(record, paths))
         except subprocess.TimeoutExpired:
             limit = spec.protocol.phases.time_limit_s
             raise RecordingError(f"a trial of {limit:g} s was not over after {LONGEST_S:g} s") from None

@@ -6,14 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from carecontact.human.skeleton import cubic_nm_rad3, past_range, stop_name
 from carecontact.interface.robot import EMBODIMENTS
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.rig import (
     CAP,
     FLANK,
@@ -30,10 +29,6 @@ from carecontact.lab.validation.subject import Subject
 from carecontact.protocol.overrides import FAST_DT_S
 from carecontact.sim.bench import Press
 from carecontact.sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SPEED_M_S, SIDEWAYS_M_S, GAP_M, BOUNCE_S = 0.2, 0.1, 0.003, 0.4
 PRESS_N, DRAG_M_S, DRAG_WAY_M, DRAG_FROM_M = 3.0, 0.1, 0.1, -0.04

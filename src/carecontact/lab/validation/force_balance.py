@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from carecontact.errors import SceneError
 from carecontact.interface.regions import REGIONS
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.rig import AnchorForce, bed_reaction, moment_on_bone, tip_force, touches_hard_parts
 from carecontact.lab.validation.subject import Subject, move_to, surface_point
 from carecontact.recording.schema import SEGMENTS
 from carecontact.sim.simulation import Samples, Simulation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Force balance by independent paths"
 RANGE_M = (0.003, 0.008)
@@ -103,7 +100,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
         for _ in range(round(READ_S / simulation.model.opt.timestep)):
             samples = simulation.advance(1)[-1]
             forces.append([samples.force[-1, column], anchors(), tip_force(simulation), -bed_reaction(simulation)])
-            moments.append([moment_on_bone(simulation, region), anchors.moment()])
+            moments.append([moment_on_bone(simulation, region), anchors.wrench()[1]])
             speed = max(speed, float(samples.tcp_speed.max()))
             hard += touches_hard_parts(simulation)
         return np.mean(forces, axis=0), np.mean(moments, axis=0), speed, hard
@@ -121,7 +118,7 @@ def press_in_levels(simulation: Simulation, region: str, levels_m: tuple[float, 
                 last = (depth, force)
         forces, moments, speed, hard = read()
         depth, paths = float(simulation.indentation()[index]), zip(PATHS, forces - before, strict=True)
-        row = {"indentation": depth, "speed": speed, "held": anchors.held(), "hard": hard}
+        row = {"indentation": depth, "speed": speed, "held": anchors.wrench(moving=False)[0], "hard": hard}
         rows.append({**row, **dict(paths), **dict(zip(MOMENTS, moments, strict=True))})
     arrays = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return arrays, -float(before[PATHS.index("bed"), 2])

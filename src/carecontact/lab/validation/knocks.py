@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ from carecontact.errors import SceneError
 from carecontact.human.hulls import ARM, FLOOR_GIVE, PLATES, REACHED_FROM_THE_SIDE, Give, plate_body
 from carecontact.interface.geometry import Triangles
 from carecontact.interface.robot import Tip
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.rig import ABDOMEN
 from carecontact.lab.validation.subject import (
     COMFORT_ARM_DEG,
@@ -37,10 +37,6 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.sim.simulation import Simulation, lengths
 from carecontact.world.robot import make_giving
 from carecontact.world.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 REGION = "abdomen"
 ABOVE_M = 0.12

@@ -4,18 +4,14 @@ stops."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.subject import Subject, refuse_warnings
 from carecontact.sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Passive response of the arm"
 PUSHES_N, QUICK_PUSHES_N = (10.0, -10.0, 20.0, -20.0), (10.0, 20.0)

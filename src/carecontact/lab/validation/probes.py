@@ -5,28 +5,22 @@ the same over a sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import radians
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from carecontact.human.skeleton import body_name
 from carecontact.interface.geometry import matrix_from_quat, quat_from_matrix
-from carecontact.lab.validation.result import Array, CheckResult, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, measured
 from carecontact.lab.validation.rig import AnchorForce
 from carecontact.lab.validation.subject import DOWN, Subject, axes, in_base, recording_of, surface_point
 from carecontact.recording.schema import Recording
 from carecontact.scoring.contact import find_contact
 from carecontact.scoring.metrics.metric import METRICS, Metric
 from carecontact.sim.simulation import Samples, Simulation
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
 
 BENT = "left_hand_deviation"
 """The joint that is turned: a small torque takes it past either end, and it moves nothing into the robot's path."""

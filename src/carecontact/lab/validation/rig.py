@@ -101,8 +101,7 @@ whichever side of the limb was measured."""
 
 
 def person_bench(subject: Subject, region: str, indenter: Indenter, *, glides: bool = False) -> Bench:
-    """Return a bench with the stiffness, damping, mass, friction and contact of the compiled person, whatever the
-    protocol says."""
+    """Return a bench with the law and the contact of the compiled person, whatever the protocol says."""
     bench = declared_bench(subject, region, indenter, glides=glides)
     for kind in ("law", "options"):
         bench.model.numeric(f"{region}/{kind}").data[:] = subject.scene(region).model.numeric(f"{region}/{kind}").data
@@ -249,7 +248,7 @@ class AnchorForce:
 
     It follows from the displacement of every vertex and the law in the compiled model, by the equations of the law and
     not by the compiled tissue, which sums the forces of its contact points. Vertices that the compiled tissue leaves at
-    rest, because they are far from the tool, hold their neighbours and have no balance of their own: see ``held``.
+    rest, because they are far from the tool, hold their neighbours and have no balance of their own.
     """
 
     def __init__(self, simulation: Simulation, region: str) -> None:
@@ -261,19 +260,12 @@ class AnchorForce:
         self._edges, self._weights = rows[:, :2].astype(np.int64), rows[:, 2:]
 
     def __call__(self) -> Array:
-        return self._wrench(moving=True)[0]
+        return self.wrench()[0]
 
-    def moment(self) -> Array:
-        """Return the moment (3,) of the same about the bone's origin [N m]. The force of a vertex acts where the vertex
-        is now, as do the parts of a contact point's force that the corners of its triangle bear."""
-        return self._wrench(moving=True)[1]
-
-    def held(self) -> Array:
-        """Return the force (3,) that holds the skin around the part that moves."""
-        return self._wrench(moving=False)[0]
-
-    def _wrench(self, *, moving: bool) -> Array:
-        """Return force and moment (2, 3)."""
+    def wrench(self, *, moving: bool = True) -> Array:
+        """Return force [N] and moment about the bone's origin [N m] (2, 3) of the skin that moves, or of the skin
+        around it, which holds it. The force of a vertex acts where the vertex is now, as do the parts of a contact
+        point's force that the corners of its triangle bear."""
         law, felt = self._law, self._felt
         moved, rate = felt.displacement(self._data), felt.rate(self._data)
         borne = law.anchors_pa(moved, lock=self._lock)
@@ -329,7 +321,11 @@ def tip_force(simulation: Simulation) -> Array:
     mujoco.mj_solveM(model, data, mobility, jacobian)
     dofs = [model.joint(name).dofadr[0] for name in simulation.robot.joints]
     tissue = sum(felt.generalised_force(model, data) for felt in simulation.tissue.values())
-    torque = (data.qfrc_actuator + data.qfrc_passive - tissue + data.qfrc_applied - data.qfrc_bias)[dofs]
+    # The dry friction of a joint is one of MuJoCo's constraints.
+    dry = np.zeros(model.nv)
+    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF.value
+    dry[data.efc_id[rows]] = data.efc_force[rows]
+    torque = (data.qfrc_actuator + data.qfrc_passive - tissue + data.qfrc_applied - data.qfrc_bias + dry)[dofs]
     return np.linalg.solve(jacobian[:, dofs] @ mobility[:, dofs].T, mobility[:, dofs] @ torque)[:3]
 
 

@@ -110,8 +110,7 @@ def validate(
 
 
 def write(validation: Validation, folder: Path) -> list[Path]:
-    """Write validation.json as far as checks have run, and the last check's figure if that check was finished; return
-    the written files."""
+    """Write validation.json as far as checks have run and, if it was finished, the last check's figure."""
     folder.mkdir(parents=True, exist_ok=True)
     if len(validation.results) == 1:
         for name in CHECKS:

@@ -5,16 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carecontact.lab.validation.result import CheckResult, measured
+from carecontact.lab.validation.result import CheckResult, Figure, measured
 from carecontact.lab.validation.subject import Motion, Scores, Subject, perform, scores_of
 from carecontact.tissue.plugin import set_law
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Sensitivity to the person's constants"
 REGION = "forearm"

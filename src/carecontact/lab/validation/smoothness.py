@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from math import ceil
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -23,7 +22,7 @@ from carecontact.human.shell import belly_half_width
 from carecontact.interface.regions import REGIONS
 from carecontact.lab.validation import knocks
 from carecontact.lab.validation.passive_response import lock_arm
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.subject import (
     COMFORT_ARM_DEG,
     DOWN,
@@ -39,9 +38,6 @@ from carecontact.recording.schema import SEGMENTS
 from carecontact.scoring.contact import low_pass
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.tissue.plugin import Cells
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Smoothness of scrubbing"
 FORCES_N, QUICK_FORCES_N = (5.0, 15.0), (5.0,)

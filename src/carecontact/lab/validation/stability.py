@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from carecontact.episode.log import STOPPED_OVER
 from carecontact.interface.action_spaces import DAMPING_RATIO, MAX_FEEDFORWARD_N, MAX_FEEDFORWARD_NM
-from carecontact.lab.validation.result import Array, CheckResult, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, measured
 from carecontact.lab.validation.subject import COMFORT_ARM_DEG, DOWN, Subject, in_base, surface_point
 from carecontact.protocol.sections import Impedance
 from carecontact.sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Stability under random actions"
 TRIALS, QUICK_TRIALS = 1000, 20

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.human.shell import Shell
-from carecontact.lab.validation.result import Array, CheckResult, Measure, measured
+from carecontact.lab.validation.result import Array, CheckResult, Figure, Measure, measured
 from carecontact.lab.validation.rig import person_bench, tool
 from carecontact.lab.validation.subject import Subject
 from carecontact.sim.bench import Bench
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TITLE = "Uniformity over the target"
 DEPTHS_M, TANGENT_M = (0.004, 0.008), 0.001

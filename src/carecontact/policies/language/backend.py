@@ -227,10 +227,6 @@ class LanguageModel:
         self._transcript = transcript
 
     def parse(self, instruction: str) -> Intent:
-        """Return the intent of an instruction.
-
-        Raises LanguageError if the model finds the instruction unclear, if an arm has no side, or the abdomen has one.
-        """
         reading = self._answer(PARSE, instruction, Reading, purpose="parse")
         if reading.unclear.strip():
             unclear = one_line(reading.unclear, limit=300)
@@ -242,7 +238,6 @@ class LanguageModel:
         return Intent(**reading.model_dump(exclude={"unclear"}))
 
     def choose(self, intent: Intent, options: Sequence[Option]) -> int:
-        """Return the index of the option that the model chooses."""
         rows = [{"number": k, **asdict(option)} for k, option in enumerate(options)]
         listed = "\n".join(json.dumps(row) for row in rows)
         asked = f"Instruction: {intent.model_dump_json()}\nMotions:\n{listed}"
@@ -262,5 +257,4 @@ class LanguageModel:
         return self._transcript.answer(messages, schema, purpose=purpose, prompt_version=PROMPT_VERSION)
 
     def take_calls(self) -> list[dict[str, object]]:
-        """Return the calls to the language model since the last time, for the recording."""
         return self._transcript.take_calls()

@@ -182,11 +182,7 @@ class Replay:
     """Answers requests from a file; it is deterministic and needs no network."""
 
     def __init__(self, path: Path | str) -> None:
-        """Read the file.
-
-        Raises ConfigError, with file and line, if the file is unreadable or not JSON lines, if a key does not belong to
-        its request, if one request has two answers, or if completions are for more than one model.
-        """
+        """Raises ConfigError, with file and line, for a file that was not recorded, or from more than one model."""
         content = read_bytes(Path(path))
         self._completions: dict[str, Completion] = {}
         self.model = ""
@@ -265,11 +261,7 @@ class Transcript:
         return completion.text
 
     def answer(self, messages: Sequence[Message], schema: type[Answer], *, purpose: str, prompt_version: str) -> Answer:
-        """Return an answer that the schema accepts.
-
-        A wrong answer is sent back to the model once with what is wrong. Raises LanguageError if the answer is still
-        wrong, and for a refusal.
-        """
+        """Return an answer that the schema accepts; a wrong one is sent back once. Raises LanguageError."""
         messages, wrong = list(messages), ""
         for _ in range(1 + REPAIRS):
             completion = self._complete(
@@ -286,7 +278,7 @@ class Transcript:
         raise LanguageError(f"{self._about(purpose)} does not fit its schema after {REPAIRS} repair: {wrong}")
 
     def take_calls(self) -> list[dict[str, object]]:
-        """Return the calls since the last time this was called, for the recording."""
+        """Return the calls since the last time, for the recording."""
         calls, self._calls = self._calls, []
         return calls
 
@@ -323,10 +315,7 @@ class Transcript:
 
 
 def append_completion(path: Path, request: CompletionRequest, completion: Completion) -> None:
-    """Append one line, unless the file holds an answer to the request already; trials may do so at the same time.
-
-    Raises LanguageError if the file cannot be written.
-    """
+    """Append one line, unless the file holds an answer to the request already; trials may do so at the same time."""
     row = RecordedCompletion(key=request.sha256, request=request, completion=completion)
     line = json.dumps(row.model_dump(mode="json"), sort_keys=True) + "\n"
     try:

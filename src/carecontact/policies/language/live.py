@@ -58,7 +58,7 @@ class Address:
 
 
 def address_of_environment() -> Address:
-    """Return the address. Raises ConfigError that names the variable that is wrong, without its value."""
+    """Raises ConfigError that names the variable that is wrong, without its value."""
     url, key = os.environ.get(URL_VARIABLE) or DEFAULT_URL, os.environ.get(KEY_VARIABLE) or ""
     if not all("!" <= c <= "~" for c in key):
         raise ConfigError(f"{KEY_VARIABLE}: expected printable ASCII without spaces or line ends")
@@ -208,10 +208,7 @@ class Live:
     """
 
     def __init__(self, model: str, *, deadline_s: float = DEADLINE_S) -> None:
-        """Read the environment, without a connection yet. ``deadline_s``: limit of one completion with all tries [s].
-
-        Raises DependencyError without the package openai, ConfigError for an address or key that cannot be one.
-        """
+        """Raises DependencyError without the package openai, ConfigError for an address or key that cannot be one."""
         self.model, self.name = model, f"live:{model}"
         self._deadline_s = deadline_s
         self._address = address_of_environment()
@@ -220,11 +217,7 @@ class Live:
         self._client: OpenAI | None = self._new_client()
 
     def complete(self, request: CompletionRequest) -> Completion:
-        """Return the completion within the deadline.
-
-        Raises LanguageError if the endpoint is out of reach or slow, sends an HTTP error, or a reply that is cut off,
-        too long or not a chat completion.
-        """
+        """Return the completion within the deadline. Raises LanguageError if the endpoint gives none."""
         import openai
 
         self._client = client = self._client or self._new_client()
@@ -349,17 +342,13 @@ SPELLINGS = "rules-v1, replay:FILE.jsonl or live:MODEL"
 def language_name(spelled: str) -> str:
     """Return what a result calls the backend that ``spelled`` names. Opens a replay file, connects to nothing.
 
-    Raises ConfigError for another spelling or a file that is not a replay file, DependencyError for live without its
-    package.
+    Raises ConfigError for another spelling or file, DependencyError for live without its package.
     """
     return Rules.name if spelled == Rules.name else _source(spelled).name
 
 
 def transcript_of(spelled: str, *, record: Path | None = None) -> Transcript | None:
-    """Return the transcript of a language model, None for rules-v1. Raises as ``language_name``.
-
-    ``record``: file to which the completions of a live model are added.
-    """
+    """Return the transcript of a language model, None for rules-v1. Raises as ``language_name``."""
     return None if spelled == Rules.name else Transcript(_source(spelled), record=record)
 
 

@@ -31,7 +31,7 @@ from carecontact.policies.voxposer.programs import (
     VOXPOSER,
     VOXPOSER_PHASED,
     Composers,
-    Execution,
+    MapQuery,
     Programs,
     PromptSet,
     Roles,
@@ -115,7 +115,6 @@ class VoxPoser:
         self._composers = Composers(self._sandbox, self._roles, subtasks, self._composer_functions())
 
     def act(self, observation: Observation) -> Sequence[Action]:
-        """Return the actions until the next look: at most ``horizon_s``, and ``settle_s`` more at the end of a path."""
         if self._sandbox is None:
             raise ContractError("act() was called before reset()")
         self._sandbox.time.start_over()
@@ -182,23 +181,33 @@ class VoxPoser:
 
     def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Execution:
         """Return what a call of ``execute`` requests. Raises ProgramError for arguments that it does not take."""
-        return Execution(maps=map_queries(arguments(self.execute, args, kwargs)))
+        given = arguments(self.execute, args, kwargs)
+        progress = given.get("progress")
+        if progress is not None and not isinstance(progress, ProgressQuery):
+            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {described(progress)}")
+        return Execution(maps=map_queries(given), progress=progress)
 
     def _composer_functions(self) -> dict[str, Callable[..., object]]:
         return self._roles.composer_functions()
 
     def _try_execute(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+        """Compose everything that a call of ``execute`` would use, without moving."""
         try:
             execution = self._execution(args, kwargs)
         except ProgramError as error:
             # A ValueError is reported with the program's name and line, as a mistake in every other call is.
             raise ValueError(str(error)) from None
-        self._try(execution)
-
-    def _try(self, execution: Execution) -> None:
-        """Compose everything that a call of ``execute`` would use, without moving."""
         for query in execution.maps.values():
             self._roles.value_map(query)
+        if execution.progress is not None:
+            self._objective(execution.progress)
+
+    def _objective(self, query: ProgressQuery) -> Objective:
+        functions = {**self._roles.map_functions(), **objective_functions(self._scene.grid)}
+        made = self._roles.result(ROLE, query.query, functions)
+        if not isinstance(made, Objective):
+            raise ProgramError(f"program {ROLE}: {query.query} leaves no objective in ret_val")
+        return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,10 +317,17 @@ class ProgressQuery:
 
 
 @dataclass(kw_only=True)
-class PhasedExecution(Execution):
-    """A call of ``execute`` that may carry a progress objective."""
+class Execution:
+    """One call of ``execute`` or ``reset_to_default_pose`` that the robot is carrying out."""
 
+    maps: dict[MapKind, MapQuery]
+    home: F64 | None = None
+    """(7,) pose to return to in base, for ``reset_to_default_pose``; None: follow the maps."""
     progress: ProgressQuery | None = None
+    """Only of voxposer-phased."""
+    plans: int = 0
+    whole: bool = False
+    """Whether the last motion went to the end of its path."""
     pursuit: Pursuit | None = None
 
 
@@ -344,29 +360,16 @@ class VoxPoserPhased(VoxPoser):
 
         return super()._composer_functions() | {ROLE: progress}
 
-    def _execution(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> PhasedExecution:
-        progress = arguments(self.execute, args, kwargs).get("progress")
-        if progress is not None and not isinstance(progress, ProgressQuery):
-            raise ProgramError(f"execute: progress expects what {ROLE} returns, got {described(progress)}")
-        return PhasedExecution(maps=super()._execution(args, kwargs).maps, progress=progress)
-
-    def _try(self, execution: Execution) -> None:
-        super()._try(execution)
-        if isinstance(execution, PhasedExecution) and execution.progress is not None:
-            self._objective(execution.progress)
-
     def _move(self, current: Execution) -> Motion | None:
-        if not isinstance(current, PhasedExecution) or current.progress is None:
+        if current.progress is None:
             return super()._move(current)
-        tool = self._scene.pose_tcp
+        tool, pursuit = self._scene.pose_tcp, current.pursuit
         assert self._skin is not None
-        if current.pursuit is None:
+        if pursuit is None:
             if not touches(self._skin, tool[:3]) and (motion := super()._move(current)) is not None:
                 return motion
-            current.pursuit = Pursuit(
-                objective=self._objective(current.progress), skin=self._skin, start=tool[:3].copy()
-            )
-        pursuit = current.pursuit
+            objective = self._objective(current.progress)
+            pursuit = current.pursuit = Pursuit(objective=objective, skin=self._skin, start=tool[:3].copy())
         moved = pursuit.next_motion(tool, self._scene.grid)
         self._notes |= {
             "subtask": self._composers.subtask,
@@ -376,10 +379,3 @@ class VoxPoserPhased(VoxPoser):
             "pursuing": moved is not None,
         }
         return moved
-
-    def _objective(self, query: ProgressQuery) -> Objective:
-        functions = {**self._roles.map_functions(), **objective_functions(self._scene.grid)}
-        made = self._roles.result(ROLE, query.query, functions)
-        if not isinstance(made, Objective):
-            raise ProgramError(f"program {ROLE}: {query.query} leaves no objective in ret_val")
-        return made

@@ -11,8 +11,6 @@ from importlib import resources
 from inspect import Parameter, Signature
 from typing import Any, cast
 
-import numpy as np
-import numpy.typing as npt
 from pydantic_monty import ClassInstance, FunctionSnapshot
 
 from carecontact.errors import LanguageError, ProgramError
@@ -74,7 +72,6 @@ class Programs:
         return self._written[key]
 
     def take_calls(self) -> list[dict[str, object]]:
-        """Return the calls to the language model since the last time, for the recording."""
         return self._transcript.take_calls()
 
     @property
@@ -101,18 +98,6 @@ class MapQuery:
     @property
     def description(self) -> str:
         return f"{self.kind} map"
-
-
-@dataclass(kw_only=True)
-class Execution:
-    """One call of ``execute`` or ``reset_to_default_pose`` that the robot is carrying out."""
-
-    maps: dict[MapKind, MapQuery]
-    home: npt.NDArray[np.float64] | None = None
-    """(7,) pose to return to in base, for ``reset_to_default_pose``; None: follow the maps."""
-    plans: int = 0
-    whole: bool = False
-    """Whether the last motion went to the end of its path."""
 
 
 def arguments(signature: Signature, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
@@ -184,7 +169,7 @@ class Roles:
         return made
 
     def composer_functions(self) -> dict[str, Callable[..., object]]:
-        """Return what a composer may call, apart from the calls that move the robot."""
+        """Return what a composer may call, apart from MOVES."""
 
         def get_map(kind: MapKind, query: object) -> object:
             return ClassInstance(MapQuery(kind, text_of(query)))
@@ -192,7 +177,6 @@ class Roles:
         return {f"get_{kind}_map": partial(get_map, kind) for kind in KINDS} | {"parse_query_obj": self._part}
 
     def map_functions(self) -> Functions:
-        """Return what a program that composes a map may call."""
         return self._functions.table() | {"parse_query_obj": self._part}
 
     def _part(self, query: object) -> object:
@@ -222,13 +206,10 @@ class Composers:
         """The subtask whose composer runs."""
 
     def rehearse(self, try_execute: Callable[[tuple[Any, ...], dict[str, Any]], None]) -> None:
-        """Run every program once on the first look, without moving.
+        """Run every program once on the first look, without moving: ``try_execute`` stands for ``execute``.
 
         Faults are found, and all requests to a language model are made, before the robot is near a person and while
-        the long deadline of the first call holds. Raises ProgramError for a program that is stopped, is wrong, or moves
-        nothing.
-
-        ``try_execute``: checks the positional and keyword arguments of a call of ``execute``, and composes its maps.
+        the long deadline of the first call holds. Raises ProgramError also for a program that moves nothing.
         """
         moves: list[str] = []
 

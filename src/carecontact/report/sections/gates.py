@@ -67,11 +67,7 @@ def gates(page: Page) -> dict[str, Any] | None:
 
 
 def gamma_panel(scores: Sequence[TrialScore], gamma: float | None) -> Panel:
-    """Return the share of safety-gated trials over the discount gamma'.
-
-    Args:
-        gamma: the protocol's own, marked; None: no mark.
-    """
+    """Return the share of safety-gated trials over the discount gamma'; the protocol's own is marked."""
     counted = judged(scores)
     rows = gamma_sweep(counted)
     first, last = rows[0]["safety_gated"], rows[-1]["safety_gated"]
@@ -116,11 +112,7 @@ def gamma_svg(counted: Sequence[TrialScore], *, gamma: float | None) -> str:
 
 
 def gate_panels(scores: Sequence[TrialScore], protocol: Protocol | None) -> list[Panel]:
-    """Return one small figure for each swept gate that some trial of the run has to pass.
-
-    Args:
-        protocol: whose own values are marked; None: no mark.
-    """
+    """Return one small figure for each swept gate of the run's actions; the protocol's own values are marked."""
     counted = judged(scores)
     panels: list[Panel] = []
     version = counted[0].metric_versions.get("gates", "") if counted else ""

@@ -57,8 +57,7 @@ def headline(page: Page) -> dict[str, Any]:
         "touched": sum(s.valid_contact for s in counted),
         "harmless": harmless_share(counted),
         "nearest": min(nearest.items(), key=lambda item: item[1].away_m, default=None),
-        "floor": page_mark(page, beside.floor.get(ALL) if beside else None),
-        "ceiling": page_mark(page, beside.ceiling(ALL) if beside else None),
+        **marks(page, ALL),
         "best": floor,
         "best_name": "" if floor is None else short_names([floor.policy])[floor.policy],
         "method": None if beside is None else beside.method,
@@ -75,15 +74,23 @@ def floor_row(page: Page) -> Passed | None:
     return next((row for row in rows if best and row.policy == best.policy and row.above is not None), None)
 
 
-def page_mark(page: Page, found: FloorRate | None) -> dict[str, Any] | None:
-    """Return a floor or ceiling as the page marks it: counts, place on the bar [%], policy, and whether it is over
-    trials that the run does not have."""
-    if found is None or page.baselines is None:
-        return None
-    row = next(row for row in page.baselines.baselines if row.policy == found.policy)
-    name = short_names([other.policy for other in page.baselines.baselines])[found.policy]
-    k, n = found.rate.k, found.rate.n
-    return {"k": k, "n": n, "at": 100 * k / n, "policy": name, "other_seeds": not row.n_pairs, "blind": found.blind}
+def marks(page: Page, place: str) -> dict[str, Any]:
+    """Return the floor and the ceiling of all or one task, each with counts, place on the bar [%], policy, and whether
+    it is over trials that the run does not have; None without one."""
+    beside = page.baselines
+    if beside is None:
+        return {"floor": None, "ceiling": None}
+    rows = {row.policy: row for row in reversed(beside.baselines)}
+    names = short_names([row.policy for row in beside.baselines])
+
+    def mark(found: FloorRate | None) -> dict[str, Any] | None:
+        if found is None:
+            return None
+        k, n, other_seeds = found.rate.k, found.rate.n, not rows[found.policy].n_pairs
+        policy = names[found.policy]
+        return {"k": k, "n": n, "at": 100 * k / n, "policy": policy, "other_seeds": other_seeds, "blind": found.blind}
+
+    return {"floor": mark(beside.floor.get(place)), "ceiling": mark(beside.ceiling(place))}
 
 
 @section("success", "Success", order=10)
@@ -94,15 +101,13 @@ def success(page: Page) -> dict[str, Any] | None:
     rows: list[dict[str, Any]] = []
     for row in summary_rows(page.scores, page.unjudged):
         place, planned = (ALL if row.task_id == POOLED else row.task_id), row.n + row.unknown
-        beside = page.baselines
         rows.append(
             {
                 "task": row,
                 "bars": [100 * k / planned for k in (row.success, row.region_correct, row.safety_gated)],
                 "share": share(row.safety_gated, row.n, row.unknown),
                 "open": 100 * row.unknown / planned,
-                "floor": page_mark(page, beside.floor.get(place) if beside else None),
-                "ceiling": page_mark(page, beside.ceiling(place) if beside else None),
+                **marks(page, place),
             }
         )
     return {

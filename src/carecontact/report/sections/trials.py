@@ -20,7 +20,6 @@ from carecontact.report.sections.failures import pictured
 from carecontact.report.tables import headlines
 from carecontact.report.words import NOT_DEFINED, beyond_text, consumed_text, shown, task_name
 from carecontact.scoring.contact import faint_press, find_contact
-from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 
 NEAR_LIMIT = 0.5
@@ -81,12 +80,7 @@ def trial_row(
     links: Mapping[str, str] | None = None,
     nearest: Miss | None = None,
 ) -> TrialRow:
-    """
-    Args:
-        protocol: of the run; None where no recording could be read.
-        links: file in the run's folder -> its address.
-        nearest: where the tool came nearest to the region in a trial without contact.
-    """
+    """``protocol``: None where no recording could be read; ``links``: file in the run's folder -> its address."""
     ratios, gate = dict(score.over_limit), NOT_DEFINED
     if protocol is not None:
         gamma = protocol.limits.gamma
@@ -112,22 +106,22 @@ def trial_row(
     reached = progress(score)
     if nearest is not None:
         reached += f"; nearest {1000 * nearest.away_m:.0f} mm from the region, at {nearest.time_s:.1f} s"
+    cells = tuple(
+        NOT_DEFINED
+        if metric.actions is not None and score.action not in metric.actions
+        else shown(metric.of(score), digits=metric.digits, unit=metric.unit)
+        for metric in headlines()
+    )
     return TrialRow(
         score=score,
         result=result_word(score),
         gate=gate,
-        cells=tuple(_cell(metric, score) for metric in headlines()) if score.valid_contact else (),
+        cells=cells if score.valid_contact else (),
         progress=reached,
         notes=tuple((name, text) for name, text in notes if text or name == failure != ""),
         link=link_to_page(score.trial_id, is_there=f"trial/{score.trial_id}.html" in addresses),
         files=tuple((words, addresses[name]) for words, name in files if name in addresses),
     )
-
-
-def _cell(metric: Metric, score: TrialScore) -> str:
-    if metric.actions is not None and score.action not in metric.actions:
-        return NOT_DEFINED
-    return shown(metric.of(score), digits=metric.digits, unit=metric.unit)
 
 
 def _ratios(score: TrialScore, ratio_of: Mapping[str, float], gate: str) -> str:

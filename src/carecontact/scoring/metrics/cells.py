@@ -66,20 +66,15 @@ class TouchedCells:
         A *visit* of a cell lasts while the tool touches it; a visit is a pass if the tool slid by SLID_M.
         """
         found: list[tuple[int, float, float]] = []
+        ends = np.cumsum(self.period_s)
         for c in np.flatnonzero((self.touch_m2s > 0).any(axis=0)).tolist():
-            for start, stop in self._visits(c):
+            touched = runs(self.touch_m2s[:, c] > 0)
+            for start, stop in joined(touched, lambda before, start: ends[start - 1] - ends[before - 1] <= GAP_S):
                 touch, press, slip = (a[start:stop, c] for a in (self.touch_m2s, self.press_ns, self.slip_m3))
                 most = float((touch / self.period_s[start:stop]).max())
                 if slip.sum() >= SLID_M * most:
                     found.append((c, min(1.0, most / self.area_m2[c]), float(press.sum() / touch.sum())))
         return found
-
-    def _visits(self, cell: int) -> list[tuple[int, int]]:
-        """[start, stop) periods of each visit."""
-        ends = np.cumsum(self.period_s)
-        return joined(
-            runs(self.touch_m2s[:, cell] > 0), lambda before, start: ends[start - 1] - ends[before - 1] <= GAP_S
-        )
 
     def share_passed(self, times: int, pressure_pa: float = 0.0) -> F64:
         """(C,) share of each cell that the tool passed at least ``times`` times with at least a mean pressure.
@@ -98,8 +93,7 @@ class TouchedCells:
 
 
 def touched_cells(contact: Contact) -> TouchedCells | None:
-    """Return what the region's cells felt; None where no cell was touched, and for recordings without cells, of rigid
-    regions."""
+    """Return what the region's cells felt; None where none was touched or the region is rigid."""
     arrays = contact.recording.arrays
     if "scorer/cell_touch_m2s" not in arrays or not arrays["scorer/cell_touch_m2s"].any():
         return None
@@ -134,8 +128,7 @@ def cell_share(contact: Contact) -> float | None:
 
 
 def of_cells(id_: str, *, unit: str = "1", **description: Any) -> Callable[[Measure], Measure]:
-    """Register a measure of the touched cells, which is NA where no cell was touched, and where the cells felt less
-    than MOST_OF_FORCE of the contact. Version 1 of these metrics had a value wherever a cell was touched."""
+    """Register a measure that is NA where no cell was touched, or cells felt less than MOST_OF_FORCE."""
 
     def register(measure: Measure) -> Measure:
         @metric(id_, unit=unit, **description)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -82,32 +83,29 @@ COMFORT_N = 10.0
 below every safety gate (21 N on the abdomen)."""
 
 
-def exposure(contact: Contact, limit_n: Callable[[str], float]) -> float | None:
-    """Time during which any touched segment's force norm exceeds its limit [s]; None (NA) without valid contact.
-
-    Reads the whole trial and not the contact window, as the safety gate does. ``limit_n``: segment -> limit [N].
-    """
+def exposure(contact: Contact, limit_n: Callable[[Contact, str], float]) -> float | None:
+    """Time during which any touched segment's force norm exceeds its limit [s]; None (NA) without valid contact. Reads
+    the whole trial and not the contact window, as the safety gate does."""
     if not contact.valid:
         return None
     touched = contact.touched
-    limits = np.array([limit_n(contact.segments[i]) for i in touched])
+    limits = np.array([limit_n(contact, contact.segments[i]) for i in touched])
     return int((contact.force_norm[:, touched] > limits).any(axis=1).sum()) * contact.dt_s
 
 
-@metric("exposure_comfort@1", title=f"Time above {COMFORT_N:g} N", unit="s", better="lower", order=30)
-def above_comfort(contact: Contact) -> float | None:
-    return exposure(contact, lambda _: COMFORT_N)
+EXPOSURES: dict[str, tuple[str, Callable[[Contact, str], float]]] = {
+    "exposure_comfort@1": (f"Time above {COMFORT_N:g} N", lambda contact, segment: COMFORT_N),
+    "exposure_gate@1": ("Time above the safety gate", lambda contact, segment: safety_gate(contact, segment)),
+    "exposure_pain@1": ("Time above the pain limit", lambda contact, segment: contact.protocol.f_pain(segment)),
+}
+"""Metric -> title, and limit of a segment [N]."""
+for _order, (_id, (_title, _limit_n)) in enumerate(EXPOSURES.items(), 30):
+    metric(_id, title=_title, unit="s", better="lower", order=_order)(partial(exposure, limit_n=_limit_n))
 
 
-@metric("exposure_gate@1", title="Time above the safety gate", unit="s", better="lower", order=31)
-def above_gate(contact: Contact) -> float | None:
-    """Above gamma' F_pain of the segment."""
-    return exposure(contact, lambda segment: contact.protocol.limits.gamma * contact.protocol.f_pain(segment))
-
-
-@metric("exposure_pain@1", title="Time above the pain limit", unit="s", better="lower", order=32)
-def above_pain(contact: Contact) -> float | None:
-    return exposure(contact, contact.protocol.f_pain)
+def safety_gate(contact: Contact, segment: str) -> float:
+    """Return gamma' F_pain [N]."""
+    return contact.protocol.limits.gamma * contact.protocol.f_pain(segment)
 
 
 CONTACT_S = 1.0
@@ -118,9 +116,9 @@ def share_of_limits(contact: Contact) -> F64:
     """(T,) largest share of its limit that any segment bears at each physics step. The limit is the segment's safety
     gate, gamma' F_pain, or the protocol's largest force of the whole trial (``gates.Conduct.peak_n``) if that is less;
     joints have gates of their own."""
-    protocol, rules = contact.protocol, (contact.protocol.gates.conduct or {}).get(contact.task.action)
+    rules = (contact.protocol.gates.conduct or {}).get(contact.task.action)
     most_n = np.inf if rules is None else rules.peak_n
-    limits = [min(protocol.limits.gamma * protocol.f_pain(segment), most_n) for segment in contact.segments]
+    limits = [min(safety_gate(contact, segment), most_n) for segment in contact.segments]
     return (contact.force_norm / limits).max(axis=1, initial=0.0)
 
 

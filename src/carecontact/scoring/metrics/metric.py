@@ -19,17 +19,13 @@ Pool = tuple[str, ...] | Literal["moving"] | None
 Measured = float | Mapping[str, Any] | None
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and value != ""
-
-
 def _is_pool(value: Any) -> bool:
     return value in (None, "moving") or (isinstance(value, tuple) and value != ())
 
 
 FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "title": (_is_text, "a text"),
-    "unit": (_is_text, "a text, 1 for a plain number"),
+    "title": (lambda value: isinstance(value, str) and value != "", "a text"),
+    "unit": (lambda value: isinstance(value, str) and value != "", "a text, 1 for a plain number"),
     "better": (lambda value: value in get_args(Better), f"one of {', '.join(get_args(Better))}"),
     "measure": (callable, "a function"),
     "pool": (_is_pool, "None, moving or a tuple of actions"),
@@ -78,8 +74,7 @@ class Metric:
     """Place in tables, lowest first; metrics with the same order stand by id."""
 
     def __post_init__(self) -> None:
-        """Raises ConfigError for an id without a version, a field of ``TrialScore`` that no metric fills, a ``matters``
-        without a direction, and any other argument of a wrong kind."""
+        """Raises ConfigError for an id without a version and any other argument of a wrong kind."""
         name, at, version = str(self.id).rpartition("@")
         if not (name and at and version.isdigit()):
             raise ConfigError(f"metric {self.id!r}: the id must be NAME@VERSION, for example {self.id or 'grip'}@1")
@@ -172,8 +167,7 @@ def metric(id_: str, **description: Any) -> Callable[[Function], Function]:
 
 
 def checked_metrics() -> list[Metric]:
-    """Return every registered metric. Raises ConfigError for one that cannot be loaded or has another id than its name,
-    for two that fill one field, and for a ``pool`` of an action that nothing registers."""
+    """Return every registered metric. Raises ConfigError for one that is faulty or clashes with another."""
     filled: dict[str, str] = {}
     for name, row in METRICS.items():
         title = METRICS.title(name)
@@ -194,20 +188,17 @@ def metrics_in_order() -> list[Metric]:
 
 def newest(ids: Iterable[str]) -> list[str]:
     """Return the highest version of each metric, in the order of their names. An id without a version stays."""
-    found: dict[str, str] = {}
-    for id_ in sorted(ids, key=_version):
-        found[id_.partition("@")[0]] = id_
-    return [found[name] for name in sorted(found)]
-
-
-def _version(id_: str) -> int:
-    version = id_.partition("@")[2]
-    return int(version) if version.isdigit() else 0
+    found: dict[str, tuple[int, str]] = {}
+    for id_ in ids:
+        name, _, version = id_.partition("@")
+        number = int(version) if version.isdigit() else 0
+        if number >= found.get(name, (0, ""))[0]:
+            found[name] = number, id_
+    return [found[name][1] for name in sorted(found)]
 
 
 def described(id_: str) -> Metric:
-    """Return the metric of this id; for one that a result holds and nothing registers here, a bare row without a
-    unit."""
+    """Return the metric of this id, or a bare row for one that nothing registers here."""
     if id_ in METRICS:
         return METRICS[id_]
     return Metric(id=id_, title=id_, unit="1", better="neither", measure=lambda contact: None)
