@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from carecontact.audit.run import audit_derivation, audit_readings
-from carecontact.audit.watched import Keyframe, press
+from carecontact.audit.run import audit_derivation, audit_readings, cards_of
+from carecontact.audit.watched import Keyframe, Watched, press
 from carecontact.human.skeleton import body_name
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
@@ -169,3 +169,15 @@ def test_without_a_log_nothing_was_read_again(tmp_path: Path) -> None:
     part = audit_readings(tmp_path, [])
     assert not part.passed
     assert part.missing == ["looks", "looks timed"]
+
+
+def test_one_card_stands_for_many_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    def card_of(trial: Watched) -> PolicyCard:
+        return PolicyCard(name=trial.policy, modalities=("depth",) if trial.policy.endswith("1") else ("rgb", "masks"))
+
+    monkeypatch.setattr(Watched, "card", property(card_of))
+    trials = [Watched(policy=f"a-policy-with-a-long-name-{k}", task_id="T1", joints=7) for k in range(20)]
+    (card,) = cards_of(trials, together=True)
+    assert set(card.modalities) == {"rgb", "depth", "masks"}
+    assert card.name.startswith("a-policy-with-a-long-name-0, ")
+    assert card.name.endswith(" and others")

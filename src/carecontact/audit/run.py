@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from carecontact.audit import hidden_values, schema
@@ -20,7 +21,7 @@ from carecontact.audit.redraw import REDRAW_BOOTSTRAP
 from carecontact.audit.watched import CONTROL_HZ, Keyframe, Watched, press, watch
 from carecontact.episode.randomization import World, settled_world, without_draws
 from carecontact.interface.observation import MODALITIES
-from carecontact.interface.policy import CAMERAS, PolicyCard
+from carecontact.interface.policy import CAMERAS, MAX_NAME, PolicyCard
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.recording.provenance import package_versions
 from carecontact.serving.conversation import PolicySetup
@@ -170,10 +171,11 @@ def cards_of(trials: Sequence[Watched], *, together: bool) -> list[PolicyCard]:
         all_modalities = tuple(name for name in MODALITIES if name in modalities)
         all_cameras = tuple(name for name in CAMERAS if name in cameras)
         asked = {(all_modalities, all_cameras): [name for group in asked.values() for name in group]}
-    return [
-        PolicyCard(name=", ".join(dict.fromkeys(names)), modalities=modalities, cameras=cameras, control_hz=CONTROL_HZ)
-        for (modalities, cameras), names in asked.items()
-    ]
+    cards: list[PolicyCard] = []
+    for (modalities, cameras), names in asked.items():
+        name = shorten(", ".join(dict.fromkeys(names)), MAX_NAME, placeholder=" and others")
+        cards.append(PolicyCard(name=name, modalities=modalities, cameras=cameras, control_hz=CONTROL_HZ))
+    return cards
 
 
 def two_starts(spec: TrialSpec, keyframe: Keyframe, *, folder: Path) -> tuple[Watched, Watched]:
