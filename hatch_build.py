@@ -1,4 +1,5 @@
-"""Puts the compiled tissue into the wheel, or beside its sources where carecontact is installed from a clone."""
+"""Puts the compiled tissue into the wheel, or beside its sources where carecontact is installed from a clone; and the
+kept scores of the shipped policies into the wheel."""
 
 from __future__ import annotations
 
@@ -19,6 +20,9 @@ PLATFORM_VARIABLE = "CARECONTACT_PLATFORM"
 class KernelBuildHook(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """A platform without a binary gets the rest of the package, which scores and reports recorded trials."""
+        if version != "editable":
+            # A report finds floor and ceiling there (report/baselines.py); a clone has them in docs.
+            build_data["force_include"][str(Path(self.root, "docs", "results"))] = "carecontact/assets/results"
         chosen = os.environ.get(PLATFORM_VARIABLE)
         if chosen and chosen not in binary.PLATFORMS:
             raise SystemExit(f"{PLATFORM_VARIABLE}={chosen} is not a platform; valid: {', '.join(binary.PLATFORMS)}")
