@@ -16,8 +16,8 @@ RECORDS = ("LICENSE", ".provenance.json", ".py")
 ASSETS = sorted(p for p in FOLDER.rglob("*") if p.is_file() and not p.name.endswith(RECORDS) and p.suffix != ".pyc")
 FREE_LICENCES = ("Apache-2.0", "CC0", "BSD-3-Clause", "MIT")
 MAX_BYTES = 3_000_000
-NETWORK_MAX_BYTES = 7_000_000
-"""Of the networks in assets/pose, whose weights have no smaller form."""
+NETWORK_MAX_BYTES = {"pose": 7_000_000, "learned": 5_000_000}
+"""Of the folders with networks, whose weights have no smaller form."""
 
 
 def provenance(path: Path) -> Path:
@@ -51,7 +51,7 @@ def test_it_is_the_file_that_was_recorded(path: Path) -> None:
 
 @pytest.mark.parametrize("path", ASSETS, ids=lambda p: p.name)
 def test_it_is_small(path: Path) -> None:
-    assert 1_000 < path.stat().st_size < (NETWORK_MAX_BYTES if path.suffix == ".tflite" else MAX_BYTES)
+    assert 1_000 < path.stat().st_size < NETWORK_MAX_BYTES.get(path.parent.name, MAX_BYTES)
 
 
 def test_no_provenance_without_its_file() -> None:

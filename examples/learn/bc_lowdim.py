@@ -17,15 +17,15 @@ import time
 from itertools import pairwise
 
 import numpy as np
-from demonstrations import HZ, SMALL_M, SMALL_RAD, demonstration, each, travelled, turn
+from demonstrations import demonstration, each
 
 from carecontact.interface.action import Action
 from carecontact.interface.body_view import PerceptionFailure, region_from_observation
 from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, quat_from_matrix
 from carecontact.interface.policy import PolicyCard
 from carecontact.policies.foam import find_foam, names_foam
+from carecontact.policies.learned import CHUNK, EXECUTED, HZ, SMALL_M, SMALL_RAD, travelled, turn
 
-CHUNK, EXECUTED = 20, 10  # targets that the network gives, and those that are executed
 CARD = {
     "modalities": ("rgb", "depth", "points", "masks", "landmarks"),
     "cameras": ("overhead",),

@@ -10,15 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from carecontact.interface.geometry import matrix_from_quat, pose_matrix, quat_from_matrix, vector_from_matrix
+from carecontact.interface.geometry import pose_matrix, quat_from_matrix
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
-
-HZ = 20
-"""Targets in a second, as the oracle gives them."""
-SMALL_M, SMALL_RAD = 0.005, 0.02
-"""Differences about as large as these count in full, and larger ones by their logarithm (``arcsinh``): at the skin,
-5 mm are 2 N, and on the way there they are nothing."""
+from carecontact.policies.learned import HZ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,13 +73,3 @@ def _held(poses, before):
     for k in range(1, len(out)):
         out[k] = out[k - 1] if np.isnan(out[k, 0]) else out[k]
     return out[1:]
-
-
-def turn(start, end):
-    """(3,) rotation vector along the axes of the base from one pose to another."""
-    return vector_from_matrix(matrix_from_quat(end[3:]) @ matrix_from_quat(start[3:]).T)
-
-
-def travelled(targets, before):
-    """(N,) way [m] of the targets up to each: how far a motion has come, whatever time it took."""
-    return np.cumsum(np.linalg.norm(np.diff(np.vstack([before, *targets])[:, :3], axis=0), axis=1))

@@ -1,9 +1,10 @@
 #!/bin/sh
-# From nothing to scored policies, in this folder, with carecontact and torch installed. On 16 cores and one GPU:
+# From nothing to scored policies, in this folder, with carecontact and torch installed. Times are of 16 cores and one
+# GPU, an H200:
 #
-#     sh pipeline.sh demos OUT    # 620 demonstrations
-#     sh pipeline.sh train OUT    # both policies
-#     sh pipeline.sh score OUT    # seeds 0-8 on L0, L1 and L2, with a control, beside the blind floor
+#     sh pipeline.sh demos OUT    # 620 demonstrations, 6 minutes
+#     sh pipeline.sh train OUT    # both policies, 14 minutes
+#     sh pipeline.sh score OUT    # LEVELS and SEEDS (0-8), with a control, beside the blind floor
 #
 # Each command, given again, keeps the trials that are finished.
 out=$2 rules=bathing-wide-v2
@@ -17,16 +18,16 @@ demos)
 train)
     python point_flow.py prepare "$out"/demos-L? --out "$out/demos.npz"
     python bc_lowdim.py "$out"/demos-L? --out "$out/bc.npz" &
-    python point_flow.py train "$out/demos.npz" --out "$out/point_flow.pt"
+    python point_flow.py train "$out/demos.npz" --out "$out/point_flow.npz"
     wait ;;
 score)
     score() {
         carecontact run --protocol $rules --level $level --tasks T1,T3 --seeds "${SEEDS:-0-8}" "$@"
     }
-    for level in L0 L1 L2; do
+    for level in ${LEVELS:-L0 L1 L2}; do
         for control in "" "--control shuffled-look"; do
             score --policy bc_lowdim:BehaviourCloning --policy-arg weights="$out/bc.npz" --out "$out/bc-$level" $control
-            score --policy point_flow:PointFlow --policy-arg weights="$out/point_flow.pt" --out "$out/flow-$level" $control
+            score --policy learned --policy-arg weights="$out/point_flow.npz" --out "$out/flow-$level" $control
         done
         score --policy mean-person-hybrid --policy-arg person=bathing-wide-L2 --out "$out/floor-$level"
     done ;;

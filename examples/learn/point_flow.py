@@ -1,16 +1,15 @@
-"""A policy from point clouds by flow matching, in PyTorch: trained in minutes on one GPU, it looks twice a second.
+"""A policy from point clouds by flow matching, trained in PyTorch in minutes on one GPU.
 
     carecontact demonstrate --protocol bathing-wide-v2 --persons 200 --noise 4mm --tasks T1,T3 --out demos
     python point_flow.py prepare demos --out demos.npz
-    python point_flow.py train demos.npz --out point_flow.pt
-    carecontact run --policy point_flow:PointFlow --policy-arg weights=point_flow.pt \\
+    python point_flow.py train demos.npz --out point_flow.npz
+    carecontact run --policy learned --policy-arg weights=point_flow.npz \\
         --protocol bathing-wide-v2 --level L1 --tasks T1,T3 --seeds 0-8 --out point_flow
 
-It knows no body and no foam: what it sees are coloured points of the first picture, in which the arm is out of the way,
-and of the last one. All places are relative to the last target of the tool, and persons are turned about the robot's
-base while it trains, so that only what is near the hand and how it lies has to be learned. A network encodes points and
-hand, and another one carries noise to the next second of targets along a learned velocity (Lipman et al. 2023, "Flow
-matching for generative modeling"). The targets of the first half second are executed.
+``carecontact.policies.learned`` runs the networks in a trial, and says what they see. Persons are turned about the
+robot's base while they are trained on, so that only what is near the hand and how it lies has to be learned. One
+network encodes points and hand, and another one carries noise to the next second of targets along a learned velocity
+(Lipman et al. 2023, "Flow matching for generative modeling").
 """
 
 import argparse
@@ -20,40 +19,26 @@ import time
 
 import numpy as np
 import torch
-from demonstrations import HZ, SMALL_M, SMALL_RAD, demonstration, each, travelled, turn
+from demonstrations import demonstration, each
 from torch import nn
 
-from carecontact.interface.action import Action
-from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, quat_from_matrix
-from carecontact.interface.policy import PolicyCard
-
-CHUNK, EXECUTED = 20, 10  # targets that the network gives, and those that are executed
-POINTS = 512  # of each of the two pictures
-LOOKS_HZ = HZ / EXECUTED
-CARD = {"modalities": ("rgb", "depth", "points"), "cameras": ("overhead",), "camera_hz": {"overhead": LOOKS_HZ}}
-NUMBERS, VECTORS = 4, 5  # of a state, see ``state``
-OUTPUTS = 6 * CHUNK + 1  # places and turns of the targets, and what is left of the motion
-
-
-def cloud(view):
-    """Return POINTS points (POINTS, 6) of a view, places in base [m] and colours: those that the arm might reach, and
-    rather colourful ones than white linen."""
-    near = np.flatnonzero((np.abs(view.points[:, 2]) < 0.5) & (np.linalg.norm(view.points, axis=1) < 1.0))
-    near = np.resize(near, max(len(near), POINTS)) if len(near) else np.zeros(POINTS, int)
-    colours = view.point_colors[near] / 255.0
-    wanted = 0.01 + (np.ptp(colours, axis=1) / np.maximum(colours.max(1), 0.2)) ** 4
-    drawn = np.argpartition(np.random.default_rng(0).exponential(size=len(near)) / wanted, POINTS - 1)[:POINTS]
-    return np.hstack([view.points[near[drawn]], colours[drawn]]).astype("f4")
-
-
-def state(tool, target, time_s, way_m, scrubs):
-    """Return NUMBERS numbers and VECTORS vectors (VECTORS, 3) of a state: time and way of the targets since the
-    beginning, and the task; place and rotation of the last target, and how far the tool lags behind it."""
-    numbers = [time_s / 10, min(time_s, 3.0), way_m, float(scrubs)]
-    rotation = matrix_from_quat(target[3:])
-    vectors = [target[:3], 10 * (target[:3] - tool[:3]), turn(tool, target), rotation[:, 0], rotation[:, 1]]
-    return np.array(numbers, "f4"), np.array(vectors, "f4")
-
+from carecontact.policies.learned import (
+    BLOCKS,
+    CHUNK,
+    EXECUTED,
+    HZ,
+    LOOK,
+    NUMBERS,
+    OUTPUTS,
+    SCALES,
+    SMALL_M,
+    SMALL_RAD,
+    VECTORS,
+    cloud,
+    state,
+    travelled,
+    turn,
+)
 
 # Preparation: from recordings to arrays.
 
@@ -61,7 +46,7 @@ def state(tool, target, time_s, way_m, scrubs):
 def prepared(path):
     """Return the arrays of one demonstration: clouds (L, POINTS, 6), and for each of N targets the state before it, the
     following second (N, OUTPUTS), and the number of the last cloud."""
-    shown = demonstration(path, PolicyCard(name="look", **CARD), LOOKS_HZ)
+    shown = demonstration(path, LOOK, HZ / EXECUTED)
     first, count, scrubs = shown.tool[0], len(shown.given), "scrub" in shown.looks[0].instruction
     way = np.append(0.0, travelled(shown.wanted, first))
     states, chunks = [], []
@@ -106,7 +91,7 @@ class Encoder(nn.Module):
 
     def forward(self, points, numbers, vectors):
         """``points`` (B, P, 7): places relative to the last target [m], colours, and 1 for those of the last look."""
-        points = points * points.new_tensor([4.0, 4.0, 4.0, 1.0, 1.0, 1.0, 1.0])
+        points = points * points.new_tensor(SCALES)
         hidden = self.points(points)
         places = torch.einsum("bpk,bpc->bkc", self.weight(hidden).softmax(1), points[..., :3])
         lag = torch.asinh(vectors[:, 1] / (10 * SMALL_M))
@@ -117,12 +102,12 @@ class Encoder(nn.Module):
 class Flow(nn.Module):
     """The velocity (OUTPUTS) at a place and time between noise and targets, under what the encoder saw."""
 
-    def __init__(self, blocks=3, width=512):
+    def __init__(self, width=512):
         super().__init__()
         self.encoder, self.into = Encoder(), nn.Linear(OUTPUTS + 16 + 512, width)
         self.blocks = nn.ModuleList(
             nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
-            for _ in range(blocks)
+            for _ in range(BLOCKS)
         )
         self.out = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, OUTPUTS))
 
@@ -132,12 +117,6 @@ class Flow(nn.Module):
         for block in self.blocks:
             x = x + block(x)
         return self.out(x)
-
-    def sample(self, noise, seen, steps=10):
-        """Return targets (B, OUTPUTS), scaled, by Euler steps from noise."""
-        for k in range(steps):
-            noise = noise + self(noise, torch.full_like(noise[:, :1], k / steps), seen) / steps
-        return noise
 
 
 def relative(first, last, vectors):
@@ -151,12 +130,6 @@ def squashed(chunks):
     """Return chunks (B, OUTPUTS) in which differences larger than SMALL_M and SMALL_RAD count by their logarithm."""
     places, turns, left = chunks.split((3 * CHUNK, 3 * CHUNK, 1), 1)
     return torch.cat([torch.asinh(places / SMALL_M), torch.asinh(turns / SMALL_RAD), left], 1)
-
-
-def stretched(chunk):
-    """Return the places and the turns (CHUNK, 3) of one squashed chunk (OUTPUTS,)."""
-    places, turns = np.sinh(chunk[:-1]).reshape(2, CHUNK, 3)
-    return SMALL_M * places, SMALL_RAD * turns
 
 
 def turned(vectors, angle):
@@ -205,48 +178,9 @@ def train(data, out, *, steps, batch, device, rate=1e-3):
         if step % max(steps // 20, 1) == 0:
             print(f"{time.time() - began:6.0f} s, step {step}: loss {torch.stack(losses).mean():.3f}", flush=True)
             losses = []
-    weights = {name: value.half().cpu() for name, value in mean.module.state_dict().items()}
-    torch.save({"weights": weights, "scale": scale.cpu(), "trained_on": salts}, out)
+    weights = {name: value.half().cpu().numpy() for name, value in mean.module.state_dict().items()}
+    np.savez_compressed(out, scale=scale.cpu().numpy(), trained_on=np.array(salts), **weights)
     print(f"{out}: {os.path.getsize(out) / 1e6:.1f} MB")
-
-
-# The policy.
-
-
-class PointFlow:
-    def __init__(self, *, weights: str = "point_flow.pt") -> None:
-        torch.set_num_threads(1)
-        kept = torch.load(weights, map_location="cpu", weights_only=True)
-        self._flow, self._scale = Flow().eval(), kept["scale"]
-        self._flow.load_state_dict({name: value.float() for name, value in kept["weights"].items()})
-        self.card = PolicyCard(
-            name="point-flow", control_hz=HZ, out_of_bounds="clip", trained_on=tuple(kept["trained_on"]), **CARD
-        )
-
-    def reset(self, instruction):
-        self._scrubs, self._target, self._steps, self._way_m = "scrub" in instruction, None, 0, 0.0
-        self._random = torch.Generator().manual_seed(0)
-
-    @torch.no_grad()
-    def act(self, observation):
-        """Return the next half second of targets."""
-        tool, last = observation.pose_tcp_in_base, torch.from_numpy(cloud(observation.cameras["overhead"]))[None]
-        if self._target is None:
-            self._target, self._first = tool, last
-        start = self._target
-        numbers, vectors = state(tool, start, self._steps / HZ, self._way_m, self._scrubs)
-        numbers, vectors = torch.from_numpy(numbers)[None], torch.from_numpy(vectors)[None]
-        seen = self._flow.encoder(relative(self._first, last, vectors), numbers, vectors)
-        noise = torch.randn(1, OUTPUTS, generator=self._random)
-        out = (self._flow.sample(noise, seen)[0] * self._scale).double().numpy()
-        places, turns = (part[:EXECUTED] for part in stretched(out))
-        rotation = matrix_from_quat(start[3:])
-        quats = [quat_from_matrix(matrix_from_vector(vector) @ rotation) for vector in turns]
-        targets = [np.append(start[:3] + place, quat) for place, quat in zip(places, quats, strict=True)]
-        ends = out[-1] * CHUNK <= EXECUTED and self._steps > 5 * HZ
-        self._target, self._steps = targets[-1], self._steps + EXECUTED
-        self._way_m += travelled(targets, start)[-1]
-        return [Action(pose_tcp_in_base=target, done=bool(ends and target is targets[-1])) for target in targets]
 
 
 def main():
@@ -258,8 +192,8 @@ def main():
     one.add_argument("--jobs", type=int, help="processes; by default one per core")
     two = commands.add_parser("train", help="make a policy of arrays")
     two.add_argument("data")
-    two.add_argument("--out", default="point_flow.pt")
-    two.add_argument("--steps", type=int, default=20_000)
+    two.add_argument("--out", default="point_flow.npz")
+    two.add_argument("--steps", type=int, default=50_000)
     two.add_argument("--batch", type=int, default=512)
     two.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     given = parser.parse_args()

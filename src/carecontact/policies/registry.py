@@ -87,6 +87,10 @@ SHIPPED = {
         languages=("rules-v1", "replay", "live"),
         description="The state machine's motions, pressed by a feedforward force; looks again and tries again.",
     ),
+    "learned": PolicyRow(
+        target="carecontact.policies.learned:Learned",
+        description="Point clouds in, targets out: cloned from demonstrations of T1 and T3, the only tasks it knows.",
+    ),
     "voxposer": PolicyRow(
         target="carecontact.policies.voxposer.policy:VoxPoser",
         languages=("replay", "live"),
