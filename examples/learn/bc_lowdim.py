@@ -24,7 +24,7 @@ from carecontact.interface.body_view import PerceptionFailure, region_from_obser
 from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, quat_from_matrix
 from carecontact.interface.policy import PolicyCard
 from carecontact.policies.foam import find_foam, names_foam
-from carecontact.policies.learned import CHUNK, EXECUTED, HZ, SMALL_M, SMALL_RAD, travelled, turn
+from carecontact.policies.point_flow import CHUNK, EXECUTED, HZ, SMALL_M, SMALL_RAD, travelled, turn
 
 CARD = {
     "modalities": ("rgb", "depth", "points", "masks", "landmarks"),

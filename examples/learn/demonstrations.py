@@ -13,7 +13,7 @@ import numpy as np
 from carecontact.interface.geometry import pose_matrix, quat_from_matrix
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
-from carecontact.policies.learned import HZ
+from carecontact.policies.point_flow import HZ
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@
     carecontact run --policy learned --policy-arg weights=point_flow.npz \\
         --protocol bathing-wide-v2 --level L1 --tasks T1,T3 --seeds 0-8 --out point_flow
 
-``carecontact.policies.learned`` runs the networks in a trial, and says what they see. Persons are turned about the
+``carecontact.policies.point_flow`` runs the networks in a trial, and says what they see. Persons are turned about the
 robot's base while they are trained on, so that only what is near the hand and how it lies has to be learned. One
 network encodes points and hand, and another one carries noise to the next second of targets along a learned velocity
 (Lipman et al. 2023, "Flow matching for generative modeling").
@@ -22,7 +22,7 @@ import torch
 from demonstrations import demonstration, each
 from torch import nn
 
-from carecontact.policies.learned import (
+from carecontact.policies.point_flow import (
     BLOCKS,
     CHUNK,
     EXECUTED,

@@ -88,7 +88,7 @@ SHIPPED = {
         description="The state machine's motions, pressed by a feedforward force; looks again and tries again.",
     ),
     "learned": PolicyRow(
-        target="carecontact.policies.learned:Learned",
+        target="carecontact.policies.point_flow:PointFlow",
         description="Point clouds in, targets out: cloned from demonstrations of T1 and T3, the only tasks it knows.",
     ),
     "voxposer": PolicyRow(

@@ -96,17 +96,18 @@ def targets(start: F64, differences: F64) -> list[F64]:
     ]
 
 
-class Learned:
+class PointFlow:
     """A point-cloud policy that was trained on touches and scrubs of the forearm, T1 and T3. Its looks show points and
     colours alone."""
 
-    def __init__(self, *, weights: str = str(SHIPPED)) -> None:
+    def __init__(self, *, weights: str | None = None) -> None:
         """
         Args:
             weights: file of examples/learn/point_flow.py; by default the shipped one.
 
         Raises ConfigError for a file without such weights.
         """
+        weights = str(SHIPPED) if weights is None else weights
         try:
             with np.load(weights) as kept:
                 self._kept = {name: kept[name] for name in kept.files}

@@ -10,7 +10,7 @@ import pytest
 
 from carecontact.episode.episode import Episode
 from carecontact.errors import ConfigError
-from carecontact.policies.learned import (
+from carecontact.policies.point_flow import (
     CHUNK,
     EXECUTED,
     NUMBERS,
@@ -18,7 +18,7 @@ from carecontact.policies.learned import (
     POINTS,
     SMALL_M,
     VECTORS,
-    Learned,
+    PointFlow,
     cloud,
     targets,
     travelled,
@@ -40,7 +40,7 @@ def what_it_sees() -> tuple[np.ndarray, ...]:
 
 def test_the_networks_answer_as_they_did_in_pytorch() -> None:
     """Values of examples/learn/point_flow.py with the shipped weights, in torch 2.13."""
-    out = Learned().differences(*what_it_sees())
+    out = PointFlow().differences(*what_it_sees())
     assert out.shape == (OUTPUTS,)
     golden = [-1.23911, 1.48744, 1.67937, -0.37598, -1.43659, 0.27959, 2.45272]
     np.testing.assert_allclose(out[[0, 1, 2, 60, 61, 62, -1]], golden, atol=2e-5)
@@ -51,7 +51,7 @@ def test_they_answer_as_in_pytorch_itself(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples/learn")
     import point_flow  # pyright: ignore[reportMissingImports]
 
-    policy = Learned()
+    policy = PointFlow()
     kept = {name: torch.from_numpy(value) for name, value in policy._kept.items()}
     scale, network = kept.pop("scale"), point_flow.Flow().eval()
     network.load_state_dict(kept)
@@ -98,8 +98,8 @@ def test_a_cloud_without_anything_near_has_its_size() -> None:
 
 
 def test_it_ends_when_nothing_is_left_but_not_in_the_first_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Learned, "differences", lambda *_: np.zeros(OUTPUTS, "f4"))
-    policy = Learned()
+    monkeypatch.setattr(PointFlow, "differences", lambda *_: np.zeros(OUTPUTS, "f4"))
+    policy = PointFlow()
     policy.reset("gently touch the right forearm")
     seen = synthetic_observation(cameras={"overhead": synthetic_view()})
     done = [[action.done for action in policy.act(seen)] for _ in range(12)]
@@ -112,14 +112,14 @@ def test_a_file_without_weights_is_named(tmp_path: Path) -> None:
     for arrays in ({}, {"trained_on": np.array(["a"])}):
         np.savez(path, **arrays)
         with pytest.raises(ConfigError, match=r"bc\.npz: no weights"):
-            Learned(weights=str(path))
+            PointFlow(weights=str(path))
     path.write_text("nothing")
     with pytest.raises(ConfigError, match="no weights"):
-        Learned(weights=str(path))
+        PointFlow(weights=str(path))
 
 
 def test_it_touches_a_forearm_of_a_development_seed() -> None:
-    policy = Learned()
+    policy = PointFlow()
     spec = TrialSpec(
         protocol=load_protocol("bathing-wide-v2", level="L1"), task_id="T1", seed=0, policy=policy.card.name
     )
