@@ -113,9 +113,12 @@ def test_a_file_without_weights_is_named(tmp_path: Path) -> None:
         np.savez(path, **arrays)
         with pytest.raises(ConfigError, match=r"bc\.npz: no weights"):
             PointFlow(weights=str(path))
-    path.write_text("nothing")
-    with pytest.raises(ConfigError, match="no weights"):
-        PointFlow(weights=str(path))
+    for text in ("nothing", "", "PK\3\4 no zip"):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match="no weights"):
+            PointFlow(weights=str(path))
+    with pytest.raises(ConfigError, match=r"nowhere\.npz: No such file"):
+        PointFlow(weights=str(tmp_path / "nowhere.npz"))
 
 
 def test_it_touches_a_forearm_of_a_development_seed() -> None:

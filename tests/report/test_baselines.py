@@ -116,6 +116,13 @@ def test_each_place_has_its_own_best_blind_arm() -> None:
     assert found == {"all": ("replay", 7, 20), "T1": ("mean-person", 4, 10), "T6": ("replay", 5, 10)}
 
 
+def test_of_blind_arms_that_pass_nothing_the_floor_is_one_that_does_something() -> None:
+    idle, rough = passed("hover", "T1", [False] * 10), passed("mean-person", "T1", [False] * 10)
+    rough = [rough[0].model_copy(update={"c3_success": True}), *rough[1:]]
+    floor = beside_baselines(METHOD, [RunScores(scores=scores) for scores in (idle, rough)]).floor
+    assert (floor["T1"].policy, floor["T1"].rate.k) == ("mean-person", 0)
+
+
 def test_a_probe_and_a_ceiling_stand_beside_the_floor_and_are_not_it() -> None:
     probe = passed("feint-and-wait", "T1", [True] * 9 + [False])
     beside = beside_baselines(METHOD, [RunScores(scores=scores) for scores in (REPLAY, MEAN, probe, ORACLE)])
@@ -218,7 +225,7 @@ def test_kept_scores_of_another_world_do_not(folder: Path) -> None:
 def test_one_line_says_that_none_are_kept(tmp_path: Path) -> None:
     beside, why = beside_shipped_scores(scores_of("voxposer"), [], folders=[tmp_path])
     assert beside is None
-    assert why == f"No scores of the shipped policies and of blind replay are kept for {PROTOCOL}."
+    assert why == f"No scores of the shipped policies and the blind baselines are kept for {PROTOCOL}."
     assert beside_shipped_scores(RunScores(scores=[]), []) == (None, "")
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -114,8 +115,10 @@ class PointFlow:
             salts = tuple(self._kept.pop("trained_on").tolist())
             self._kept = {name: value.astype("f4") for name, value in self._kept.items()}
             widest = self._kept["out.1.weight"].shape[0]
-        except (OSError, ValueError, KeyError) as error:
-            raise ConfigError(f"{weights}: no weights of examples/learn/point_flow.py: {error}") from error
+        except OSError as error:
+            raise ConfigError(f"{weights}: {error.strerror}") from error
+        except (ValueError, KeyError, EOFError, BadZipFile) as error:
+            raise ConfigError(f"{weights}: no weights of examples/learn/point_flow.py") from error
         if widest != OUTPUTS:
             raise ConfigError(f"{weights}: the network has {widest} outputs; expected {OUTPUTS}")
         self.card = replace(LOOK, trained_on=salts)

@@ -38,19 +38,21 @@ def role_in(scores: Sequence[TrialScore]) -> Role:
 
 
 def floor_of(baselines: Iterable[Sequence[TrialScore]]) -> dict[str, FloorRate]:
-    """ALL and each task -> the best rate there; the first of equal ones.
+    """ALL and each task -> the best rate there; of equal ones, that with more success before safety, or the first.
 
     Args:
         baselines: judged trials of each, one at least.
     """
-    best: dict[str, FloorRate] = {}
+    best: dict[str, tuple[tuple[float, float], FloorRate]] = {}
     for scores in baselines:
         for place in (ALL, *sorted({score.task_id for score in scores})):
-            rate = rate_of([score for score in scores if place in (ALL, score.task_id)], "safety_gated")
-            if place not in best or rate.k / rate.n > best[place].rate.k / best[place].rate.n:
+            there = [score for score in scores if place in (ALL, score.task_id)]
+            rate, unsafe = (rate_of(there, field) for field in ("safety_gated", "c3_success"))
+            passed = rate.k / rate.n, unsafe.k / rate.n
+            if place not in best or passed > best[place][0]:
                 blind = role_in(scores) == "blind"
-                best[place] = FloorRate(policy=scores[0].policy_title, blind=blind, rate=rate)
-    return best
+                best[place] = passed, FloorRate(policy=scores[0].policy_title, blind=blind, rate=rate)
+    return {place: rate for place, (_, rate) in best.items()}
 
 
 # What baselines pass beside a method: the floor under its rates.
@@ -308,7 +310,7 @@ def shipped_scores_for(
                 kept.append(scores)
         except CarecontactError as error:
             why = why or f"The kept scores of {file.name.partition('.')[0]} cannot stand beside this run: {error}."
-    none = f"No scores of the shipped policies and of blind replay are kept for {run.scores[0].protocol_id}."
+    none = f"No scores of the shipped policies and the blind baselines are kept for {run.scores[0].protocol_id}."
     return kept, "" if kept else why or none
 
 
