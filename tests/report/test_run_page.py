@@ -388,7 +388,10 @@ def test_the_headline_counts_what_was_harmless_among_trials_with_contact(run_of_
         s.model_copy(update={"additional": {"harmless@1": values[min(number, 3)]}})
         for number, s in enumerate(run_of_7.scores)
     ]
-    said = "Of the 3 with at least 1 s of contact on the named region, 2 were harmless: no force went above a limit"
+    said = (
+        "Of the 3 with at least 1 s of contact on the named region, 2 were harmless: "
+        "every force stayed within its limit"
+    )
     assert said in head_of(write(run_of_7, tmp_path))
 
 

@@ -72,7 +72,7 @@ def test_limits_are_drawn_once_the_force_comes_near(peak: float, drawn: list[str
     svg = trace_svg(made(plateau(T, start=3, end=9, level=peak, ripple=0)), title="x")
     lines = sorted(c for c in classes(svg) if c in ("gate", "pain"))
     assert lines == drawn
-    assert "gate 35" in svg
+    assert "limit 35" in svg
 
 
 def test_other_segments_are_drawn_only_when_touched() -> None:
@@ -128,11 +128,11 @@ def test_each_limit_is_of_the_segment_that_is_drawn_and_named_on_its_line() -> N
         force_trace(make_recording("T1", 0, {"pelvis": pelvis}, duration_s=12), make_score("T1", 0)), title=""
     )
     of_pelvis = PROTOCOL.f_pain("pelvis")
-    assert f">gate {PROTOCOL.limits.gamma * of_pelvis:g}<" in svg
+    assert f">limit {PROTOCOL.limits.gamma * of_pelvis:g}<" in svg
     assert f">pain {of_pelvis:g}<" in svg
     assert ">pelvis<" in svg
     assert "right forearm" not in svg
-    assert ">gate 35<" not in svg
+    assert ">limit 35<" not in svg
     both = {"pelvis": pelvis, "right_forearm": pelvis / 4}
     svg = trace_svg(force_trace(make_recording("T1", 0, both, duration_s=12), make_score("T1", 0)), title="")
     assert (svg.count(">pelvis<"), svg.count(">right forearm<")) == (2, 1), "20 N is below a quarter of 100 N"

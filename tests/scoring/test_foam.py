@@ -81,7 +81,8 @@ def test_the_share_is_of_the_foam_and_not_of_the_region() -> None:
         st.builds(
             Wipe,
             strokes=st.integers(1, 3),
-            pressure_pa=st.floats(5, 20).map(lambda mmhg: mmhg * MMHG_PA),
+            # With exactly 10 mmHg all along, rounding decides whether a visit as it stands is firm enough.
+            pressure_pa=st.floats(5, 20).filter(lambda mmhg: abs(mmhg - 10) > 1e-6).map(lambda mmhg: mmhg * MMHG_PA),
             width_m=st.sampled_from([0.01, 0.02, 0.03]),
             way_m=st.sampled_from([0.02, 0.05, 0.08]),
             lifted_s=st.sampled_from([0.04, 0.08, 0.14, 0.3]),

@@ -205,6 +205,12 @@ class Protocol(Section):
         limits = self.limits.f_pain_n
         return limits.get(sideless(segment), min(limits.values()))
 
+    def most_n(self, action: str, segment: str) -> float:
+        """Return the largest force [N] that a segment may bear in a trial of an action: its safety gate, gamma' F_pain,
+        or the largest force of the whole trial (``gates.Conduct.peak_n``) if that is less."""
+        gate_n, conduct = self.limits.gamma * self.f_pain(segment), (self.gates.conduct or {}).get(action)
+        return gate_n if conduct is None else min(gate_n, conduct.peak_n)
+
     def has_own_limit(self, segment: str) -> bool:
         """Whether the limits name the segment; else ``f_pain`` is the strictest entry."""
         return sideless(segment) in self.limits.f_pain_n

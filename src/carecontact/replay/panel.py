@@ -279,7 +279,7 @@ class Panel:
         gate = self._story.trace.gate_n
         if gate <= self._top_n:
             dashes(paper, left, right, self._y(gate), INK)
-            write(paper, right, self._y(gate) - 5, f"safety gate {gate:g} N", 11, anchor="right")
+            write(paper, right, self._y(gate) - 5, f"force limit {gate:g} N", 11, anchor="right")
         line(paper, self._points(len(self._time_s)), GHOST, width=2)
 
     def at(self, time_s: float) -> Picture:

@@ -360,7 +360,7 @@ class _Writer:
             self._stream.send_columns(path, indexes=[column], columns=rr.Scalars.columns(scalars=values))
         gate = self._story.trace.gate_n
         self._at(0.0)
-        self._log("events", rr.TextLog(f"safety gate of the {REGIONS[self._region].segment}: {gate:g} N"))
+        self._log("events", rr.TextLog(f"force limit of the {REGIONS[self._region].segment}: {gate:g} N"))
         for event in self._story.events:
             self._at(event.time_s)
             self._log("events", rr.TextLog(event.text))

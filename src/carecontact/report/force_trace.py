@@ -53,7 +53,7 @@ class ForceTrace:
     windows_s: list[tuple[float, float]]
     """Contact window of the reported segment."""
     gate_n: float
-    """Safety gate of the named region's segment [N]."""
+    """Largest force that the named region's segment may bear [N] (``Protocol.most_n``)."""
     limits: tuple[Limit, ...]
     """Limits of every segment that is drawn; those of the named region's segment come first, if it was touched."""
     peak_s: float | None
@@ -80,7 +80,7 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
             (float(contact.time_s[start] - contact.dt_s), float(contact.time_s[stop - 1]))
             for start, stop in runs(contact.window)
         ],
-        gate_n=protocol.limits.gamma * protocol.f_pain(segment),
+        gate_n=protocol.most_n(contact.task.action, segment),
         limits=_limits(contact),
         peak_s=peak_s,
         peak_n=score.c1_peak_force_n,
@@ -88,18 +88,23 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
 
 
 def _limits(contact: Contact) -> tuple[Limit, ...]:
-    """Return the limits of the named region's segment, and of the other segment that came nearest to its own safety
-    gate. A segment that was never touched has no curve and so no limits, unless none was touched."""
+    """Return the limits of the named region's segment, and of the other segment that came nearest to its own force
+    limit. A segment that was never touched has no curve and so no limits, unless none was touched."""
     protocol, largest = contact.protocol, contact.force_norm.max(axis=0, initial=0.0)
     drawn = [contact.target] if largest[contact.target] or not largest.any() else []
     others = [i for i in np.flatnonzero(largest).tolist() if i != contact.target]
     if others:
         drawn.append(max(others, key=lambda i: largest[i] / protocol.f_pain(contact.segments[i])))
-    rows: list[tuple[Literal["gate", "pain"], float]] = [("gate", protocol.limits.gamma), ("pain", 1.0)]
-    return tuple(
-        Limit(style=style, segment=name.replace("_", " "), value_n=share * protocol.f_pain(name), largest_n=largest[i])
-        for i in drawn for name in [contact.segments[i]] for style, share in rows
-    )  # fmt: skip
+    action, limits = contact.task.action, list[Limit]()
+    for i in drawn:
+        name = contact.segments[i]
+        values: dict[Literal["gate", "pain"], float] = {
+            "gate": protocol.most_n(action, name),
+            "pain": protocol.f_pain(name),
+        }
+        for style, value_n in values.items():
+            limits.append(Limit(style=style, segment=name.replace("_", " "), value_n=value_n, largest_n=largest[i]))
+    return tuple(limits)
 
 
 def decimate(x: Floats, y: Floats, *, buckets: int) -> tuple[Floats, Floats]:
@@ -138,12 +143,14 @@ def _draw_limits(axes: Axes, in_view: Sequence[Limit], limits: Sequence[Limit]) 
     """Each line has its name and its segment at the right, in two lines; names that would overlap move down."""
     right, free = axes.left + axes.width + 5, axes.top + 4
     if limits and not any(limit.style == "gate" for limit in in_view):
-        axes.drawing.text("label gate", right, free, f"gate {limits[0].value_n:g} ↑")
+        axes.drawing.text("label gate", right, free, f"limit {limits[0].value_n:g} ↑")
         axes.drawing.text("label", right, free + LINE_PX, limits[0].segment)
         free += 2 * LINE_PX
     for limit in sorted(in_view, key=lambda limit: -limit.value_n):
         axes.across(limit.style, limit.value_n)
         y = max(axes.py(limit.value_n) + 3.5, free)
-        axes.drawing.text(f"label {limit.style}", right, y, f"{limit.style} {limit.value_n:g}")
+        axes.drawing.text(
+            f"label {limit.style}", right, y, f"{'limit' if limit.style == 'gate' else limit.style} {limit.value_n:g}"
+        )
         axes.drawing.text("label", right, y + LINE_PX, limit.segment)
         free = y + 2 * LINE_PX

@@ -129,7 +129,7 @@ OUT_M = 0.25
 EDGE_PX = 0.5
 """A part of a curve that begins or ends so near to the upper or lower edge of its panel is cut there."""
 
-LIMIT_NAMES = {"gate": "safety gate", "pain": "pain limit"}
+LIMIT_NAMES = {"gate": "force limit", "pain": "pain limit"}
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ def _force_panel(trace: ForceTrace) -> Panel:
     drawn = {"other": trace.other_n, "target": trace.target_n} if trace.other_n.any() else {"target": trace.target_n}
     curves = tuple(Curve(style, trace.time_s, values) for style, values in drawn.items())
     gate = next((limit for limit in trace.limits if limit.style == "gate"), None)
-    above = "" if gate is None or gate in seen else f"↑ safety gate of the {gate.segment} {gate.value_n:g} N"
+    above = "" if gate is None or gate in seen else f"↑ force limit of the {gate.segment} {gate.value_n:g} N"
     peak = None if trace.peak_s is None or trace.peak_n is None else (trace.peak_s, trace.peak_n)
     top = 1.25 * max([largest, *(limit.value_n for limit in seen)])
     return Panel(title="Force [N]", curves=curves, low=0.0, high=top, lines=tuple(seen),

@@ -84,7 +84,7 @@ def trial_row(
     ratios, gate = dict(score.over_limit), NOT_DEFINED
     if protocol is not None:
         gamma = protocol.limits.gamma
-        gate = f"{gamma * protocol.f_pain(REGIONS[score.region].segment):g}"
+        gate = f"{protocol.most_n(score.action, REGIONS[score.region].segment):g}"
         for segment in score.fallback_limits:
             ratios.setdefault(segment, score.peak_force_n[segment] / (gamma * protocol.f_pain(segment)))
     borrowed = {s: ratios[s] for s in score.fallback_limits if ratios.get(s, 0.0) >= NEAR_LIMIT}
@@ -140,7 +140,7 @@ def keep_trace(score: TrialScore, recording: Recording, kept: Kept) -> None:
 
 def _alternative(score: TrialScore, trace: ForceTrace) -> str:
     peak = "no valid contact" if score.c1_peak_force_n is None else f"peak {score.c1_peak_force_n:.1f} N"
-    gate = f"gate {trace.limits[0].value_n:g} N on the {trace.limits[0].segment}"
+    gate = f"limit {trace.limits[0].value_n:g} N on the {trace.limits[0].segment}"
     name = f"{score.task_id} {task_name(score)}, seed {score.seed}"
     return f"Force over time, {name}: {peak}, {gate}, {result_word(score)[1]}"
 

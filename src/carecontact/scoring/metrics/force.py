@@ -113,12 +113,9 @@ CONTACT_S = 1.0
 
 
 def share_of_limits(contact: Contact) -> F64:
-    """(T,) largest share of its limit that any segment bears at each physics step. The limit is the segment's safety
-    gate, gamma' F_pain, or the protocol's largest force of the whole trial (``gates.Conduct.peak_n``) if that is less;
-    joints have gates of their own."""
-    rules = (contact.protocol.gates.conduct or {}).get(contact.task.action)
-    most_n = np.inf if rules is None else rules.peak_n
-    limits = [min(safety_gate(contact, segment), most_n) for segment in contact.segments]
+    """(T,) largest share of its limit (``Protocol.most_n``) that any segment bears at each physics step; joints have
+    gates of their own."""
+    limits = [contact.protocol.most_n(contact.task.action, segment) for segment in contact.segments]
     return (contact.force_norm / limits).max(axis=1, initial=0.0)
 
 
