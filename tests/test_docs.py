@@ -26,6 +26,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.recording.notes import JOINTS
 from carecontact.runs.scoring import read_scores
+from carecontact.scoring.foam import LEAST_MMHG, PASSES
 from carecontact.sim.opengl import PACKAGES
 from carecontact.tissue.binary import PLATFORMS
 from tests.report.browser import Browser, found
@@ -138,11 +139,13 @@ def test_the_gates_of_the_tasks_page_are_those_of_the_exam() -> None:
     rules = load_protocol(EXAM, level="L2")
     gates = rules.gates.model_dump()
     touch, scrub, push = ({name: _shown(name, value) for name, value in gates[action].items()} for action in ACTIONS)
+    cleaned = _shown("cleaned_share", gates["foam"]["cleaned_share"])
     page = (ROOT / "docs/tasks.md").read_text()
     for row in (
         f"| touch | a held force of {touch['least_n']} to {touch['most_n']} N for {touch['duration_s']} s without",
-        f"| scrub | {scrub['passed_m']} of the region's axis are passed {scrub['passes']} times with at least "
-        f"{scrub['least_n']} N; {scrub['least_n']} to {scrub['most_n']} N during {scrub['band_share']} of the time",
+        f"| scrub | {cleaned} of the foam is cleaned: passed {PASSES} times with at least {LEAST_MMHG:g} mmHg (on L0, "
+        f"without foam: {scrub['passed_m']} of the region's axis are passed {scrub['passes']} times with at least "
+        f"{scrub['least_n']} N); {scrub['least_n']} to {scrub['most_n']} N during {scrub['band_share']} of the time",
         f"| push | at least {push['force_n']} N for {push['duration_s']} s without interruption; the wrist moves by "
         f"{push['least_wrist_m'].partition(' ')[0]} to {push['most_wrist_m']} from",
     ):

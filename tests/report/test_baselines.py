@@ -96,6 +96,18 @@ def test_what_is_no_baseline_is_refused(scores: list[TrialScore], why: str) -> N
         beside_baselines(METHOD, [RunScores(scores=scores)])
 
 
+def test_a_baseline_may_have_another_controller_but_no_other_world() -> None:
+    """Where a policy commands joint angles, floor and ceiling still move the tool."""
+
+    def of(run: list[TrialScore], **world: str) -> RunScores:
+        return RunScores(scores=[s.model_copy(update={"world": world}) for s in run])
+
+    method = of(METHOD.scores, control="joints", kernel="3")
+    assert beside_baselines(method, [of(REPLAY, control="tool", kernel="3")]).floor["T1"].policy == "replay"
+    with pytest.raises(ConfigError, match="different worlds: kernel"):
+        beside_baselines(method, [of(REPLAY, control="joints", kernel="2")])
+
+
 def test_a_registered_method_that_is_named_as_a_baseline_is_no_blind_baseline() -> None:
     scores = [score.model_copy(update={"policy": "state-machine", "policy_arguments": {}}) for score in METHOD.scores]
     found = beside_baselines(METHOD, [RunScores(scores=scores)])

@@ -178,12 +178,14 @@ def beside_baselines(
 
 
 def check_baselines(method: RunScores, baselines: Sequence[RunScores], *, allow_incomplete: bool = False) -> None:
-    """Raises ConfigError for a baseline that is not comparable, named twice, or the method itself, that has no task in
+    """A baseline may have another controller: a policy of joint angles has no blind baseline under its own.
+
+    Raises ConfigError for a baseline that is not comparable, named twice, or the method itself, that has no task in
     common, or, unless these are allowed, of which planned trials have no verdict."""
     seen = {method.scores[0].policy_title} if method.scores else set[str]()
     for baseline in baselines:
         titled = f"the baseline ({baseline.scores[0].policy_title})" if baseline.scores else "the baseline"
-        check_comparable({"the method": method.scores, titled: baseline.scores})
+        check_comparable({"the method": method.scores, titled: baseline.scores}, but={"control"})
         if not allow_incomplete:
             check_complete({f"--baseline: {baseline.scores[0].policy_title}": baseline})
         policy = baseline.scores[0].policy_title

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -70,11 +70,12 @@ def check_complete(runs: Mapping[str, RunScores], *, otherwise: str = "") -> Non
             )
 
 
-def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
+def check_comparable(runs: Mapping[str, Sequence[TrialScore]], *, but: Collection[str] = ()) -> None:
     """Raises ConfigError unless all ran one protocol in one world, were scored alike, and have a judged trial.
 
     Args:
         runs: name for messages, such as "run A" -> scores.
+        but: parts of the world that may differ.
     """
     for name, scores in runs.items():
         check_one_run(scores)
@@ -86,10 +87,12 @@ def check_comparable(runs: Mapping[str, Sequence[TrialScore]]) -> None:
             )
     (reference, scores), *others = runs.items()
     for name, other in others:
-        _check_two(reference, scores, name, other)
+        _check_two(reference, scores, name, other, but)
 
 
-def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[TrialScore]) -> None:
+def _check_two(
+    name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[TrialScore], but: Collection[str]
+) -> None:
     first, other = a[0], b[0]
     if first.protocol_sha256 != other.protocol_sha256 or first.overrides != other.overrides:
         ran_a, ran_b = (f"{s.protocol_title} ({s.protocol_sha256[:12]})" for s in (first, other))
@@ -104,7 +107,7 @@ def _check_two(name_a: str, a: Sequence[TrialScore], name_b: str, b: Sequence[Tr
         raise ConfigError(
             f"{name_a} and {name_b} are scored by different definitions ({differ}): score both again with one release"
         )
-    found = world_difference([*judged(a), *judged(b)])
+    found = world_difference([*judged(a), *judged(b)], but=but)
     if found is not None:
         what, one, two = found
         parts = [f"{world_part(s, what)} ({s.trial_id} of {name})" for s, name in ((one, name_a), (two, name_b))]

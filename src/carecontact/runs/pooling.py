@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -135,11 +135,16 @@ def world_part(score: TrialScore, what: str) -> str:
     return value[:12] if len(value) == 64 else value
 
 
-def world_difference(scores: Sequence[TrialScore]) -> tuple[str, TrialScore, TrialScore] | None:
-    """Return the first part of the world in which two scores differ, and the two; of drawn bodies, at one seed."""
+def world_difference(
+    scores: Sequence[TrialScore], *, but: Collection[str] = ()
+) -> tuple[str, TrialScore, TrialScore] | None:
+    """Return the first part of the world, ``but`` for some, in which two scores differ, and the two; of drawn bodies,
+    at one seed."""
     first: dict[tuple[object, ...], TrialScore] = {}
     for score in scores:
         for what, value in {"salt": UNSALTED, **score.world}.items():
+            if what in but:
+                continue
             place = (what, score.seed) if what.startswith(DRAWN) else (what,)
             other = first.setdefault(place, score)
             if other.world.get(what, UNSALTED) != value:
