@@ -162,6 +162,16 @@ def test_bathing_force_limits(region: str, gate_n: float, cut_n: float) -> None:
     assert BATHING.phases.truncation_over_pain * pain == pytest.approx(cut_n)
 
 
+@pytest.mark.parametrize(("protocol", "touch_n", "push_n"), [("bathing-v3", 35, 35), ("bathing-wide-v2", 15, 25)])
+def test_the_largest_force_of_a_trial_is_the_exams_where_that_is_less(
+    protocol: str, touch_n: float, push_n: float
+) -> None:
+    rules = load_protocol(protocol, level="L2" if protocol == "bathing-wide-v2" else None)
+    assert rules.most_n("touch", "right_forearm") == pytest.approx(touch_n)
+    assert rules.most_n("push", "right_forearm") == pytest.approx(push_n)
+    assert rules.most_n("push", "abdomen") == pytest.approx(21), "the safety gate is less"
+
+
 def test_bathing_impedance() -> None:
     impedance = BATHING.impedance
     assert impedance.effective_mass_kg == 10.0
