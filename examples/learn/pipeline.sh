@@ -9,6 +9,7 @@
 # Each command, given again, keeps the trials that are finished.
 out=$2 rules=bathing-wide-v2
 export OMP_NUM_THREADS=1
+set -e
 case $1 in
 demos)
     for part in L0:10 L1:200 L2:100; do
@@ -17,9 +18,9 @@ demos)
     done ;;
 train)
     python point_flow.py prepare "$out"/demos-L? --out "$out/demos.npz"
-    python bc_lowdim.py "$out"/demos-L? --out "$out/bc.npz" &
-    python point_flow.py train "$out/demos.npz" --out "$out/point_flow.npz"
-    wait ;;
+    python bc_lowdim.py "$out"/demos-L? --out "$out/bc.npz" & cloning=$!
+    python point_flow.py train "$out/demos.npz" --steps 52000 --out "$out/point_flow.npz"
+    wait $cloning ;;
 score)
     score() {
         carecontact run --protocol $rules --level $level --tasks T1,T3 --seeds "${SEEDS:-0-8}" "$@"
@@ -30,5 +31,6 @@ score)
             score --policy learned --policy-arg weights="$out/point_flow.npz" --out "$out/flow-$level" $control
         done
         score --policy mean-person-hybrid --policy-arg person=bathing-wide-L2 --out "$out/floor-$level"
+        score --policy look-and-press --out "$out/script-$level"
     done ;;
 esac

@@ -193,7 +193,7 @@ def main():
     two = commands.add_parser("train", help="make a policy of arrays")
     two.add_argument("data")
     two.add_argument("--out", default="point_flow.npz")
-    two.add_argument("--steps", type=int, default=50_000)
+    two.add_argument("--steps", type=int, default=52_000)
     two.add_argument("--batch", type=int, default=512)
     two.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     given = parser.parse_args()

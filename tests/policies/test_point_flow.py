@@ -107,6 +107,15 @@ def test_it_ends_when_nothing_is_left_but_not_in_the_first_five_seconds(monkeypa
     assert done[-1] == [False] * (EXECUTED - 1) + [True]
 
 
+@pytest.mark.parametrize("instruction", ["push the right forearm", "gently scrub the abdomen"])
+def test_it_does_nothing_that_it_has_not_learned(instruction: str) -> None:
+    policy = PointFlow()
+    policy.reset(instruction)
+    (action,) = policy.act(synthetic_observation(cameras={"overhead": synthetic_view()}))
+    assert action.done
+    assert action.pose_tcp_in_base is None
+
+
 def test_a_file_without_weights_is_named(tmp_path: Path) -> None:
     path = tmp_path / "bc.npz"
     for arrays in ({}, {"trained_on": np.array(["a"])}):

@@ -124,11 +124,14 @@ class PointFlow:
         self.card = replace(LOOK, trained_on=salts)
 
     def reset(self, instruction: str) -> None:
+        self._known = "forearm" in instruction and "push" not in instruction
         self._scrubs, self._steps, self._way_m = "scrub" in instruction, 0, 0.0
         self._target: F64 | None = None
 
     def act(self, observation: Observation) -> list[Action]:
-        """Return the next half second of targets."""
+        """Return the next half second of targets; done at once where the instruction is none that it learned."""
+        if not self._known:
+            return [Action(done=True)]
         tool, last = observation.pose_tcp_in_base, cloud(observation.cameras["overhead"])
         if self._target is None:
             self._target, self._first = tool, last

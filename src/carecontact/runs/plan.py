@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Self, TypeVar
 
 from carecontact.errors import ConfigError, UnknownNameError, did_you_mean
+from carecontact.protocol.load import load_levels, shipped_protocols
 from carecontact.protocol.protocol import Protocol, TrialSpec
 from carecontact.scoring.behaviour import behaviour_of
 from carecontact.scoring.contact import rate_faults
@@ -99,12 +100,15 @@ def check_not_trained_on(trained_on: Sequence[str], specs: Sequence[TrialSpec]) 
     """Raises ConfigError where a policy was trained, as its card says, on a person of these trials."""
     for entry in trained_on:
         name, colon, seeds = entry.partition(":")
+        # Protocols that draw alike have the same persons, such as the exam and its DROID form.
+        alike = load_levels(name).values() if name in shipped_protocols() else ()
+        names = {name, *(protocol.drawn_as for protocol in alike)}
         for spec in specs:
             same = spec.commitment == entry
             if colon and not spec.commitment:
                 ranges = [part.partition("-") for part in seeds.split(",")]
                 within = any(int(low) <= spec.seed <= int(high or low) for low, _, high in ranges)
-                same = within and name in (spec.protocol.id, spec.protocol.drawn_as)
+                same = within and bool(names & {spec.protocol.id, spec.protocol.drawn_as})
             if same and not spec.trains:
                 raise ConfigError(
                     f"{spec.policy} was trained on {entry}, as its card says, and {spec.trial_id} is a trial of such a "
