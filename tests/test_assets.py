@@ -17,7 +17,7 @@ ASSETS = sorted(p for p in FOLDER.rglob("*") if p.is_file() and not p.name.endsw
 FREE_LICENCES = ("Apache-2.0", "CC0", "BSD-3-Clause", "MIT")
 MAX_BYTES = 3_000_000
 NETWORK_MAX_BYTES = {"pose": 7_000_000, "learned": 5_000_000}
-"""Of the folders with networks, whose weights have no smaller form."""
+"""Largest size of a file in the folders of networks, whose weights cannot be compressed further."""
 
 
 def provenance(path: Path) -> Path:

@@ -21,10 +21,9 @@ from demonstrations import demonstration, each
 
 from carecontact.interface.action import Action
 from carecontact.interface.body_view import PerceptionFailure, region_from_observation
-from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, quat_from_matrix
 from carecontact.interface.policy import PolicyCard
 from carecontact.policies.foam import find_foam, names_foam
-from carecontact.policies.point_flow import CHUNK, EXECUTED, HZ, SMALL_M, SMALL_RAD, travelled, turn
+from carecontact.policies.point_flow import CHUNK, EXECUTED, HZ, SMALL_M, SMALL_RAD, targets, travelled, turn
 
 CARD = {
     "modalities": ("rgb", "depth", "points", "masks", "landmarks"),
@@ -161,14 +160,11 @@ class BehaviourCloning:
         x = features(self._place, tool, self._target, self._first, self._steps / HZ, self._way_m, self._scrubs)
         out = forward(self._weights, np.clip((x - self._kept["mean_x"]) / self._kept["std_x"], -5, 5))
         out = out * self._kept["std_y"] + self._kept["mean_y"]
-        places, turns = np.sinh(out[:-1]).reshape(2, CHUNK, 3)[:, :EXECUTED]
-        places, turns = SMALL_M * places @ self._place.axes, SMALL_RAD * turns
         start, ends = self._target, out[-1] * CHUNK <= EXECUTED and self._steps > 5 * HZ
-        quats = [quat_from_matrix(matrix_from_vector(vector) @ matrix_from_quat(start[3:])) for vector in turns]
-        targets = [np.append(start[:3] + place, quat) for place, quat in zip(places, quats, strict=True)]
-        self._target, self._steps = targets[-1], self._steps + EXECUTED
-        self._way_m += travelled(targets, start)[-1]
-        return [Action(pose_tcp_in_base=target, done=bool(ends and target is targets[-1])) for target in targets]
+        wanted = targets(start, out, self._place.axes)
+        self._target, self._steps = wanted[-1], self._steps + EXECUTED
+        self._way_m += travelled(wanted, start)[-1]
+        return [Action(pose_tcp_in_base=pose, done=bool(ends and pose is wanted[-1])) for pose in wanted]
 
 
 def main():

@@ -19,7 +19,7 @@ demos)
 train)
     python point_flow.py prepare "$out"/demos-L? --out "$out/demos.npz"
     python bc_lowdim.py "$out"/demos-L? --out "$out/bc.npz" & cloning=$!
-    python point_flow.py train "$out/demos.npz" --steps 52000 --out "$out/point_flow.npz"
+    python point_flow.py train "$out/demos.npz" --out "$out/point_flow.npz"
     wait $cloning ;;
 score)
     score() {

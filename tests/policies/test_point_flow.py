@@ -70,7 +70,7 @@ def test_differences_become_targets_from_the_last_one() -> None:
     differences = np.zeros(OUTPUTS)
     differences[: 3 * CHUNK : 3] = np.arcsinh(0.010 / SMALL_M)
     differences[3 * CHUNK + 2 : 6 * CHUNK : 3] = np.arcsinh(0.1 / 0.02)
-    wanted = targets(POSE, differences)
+    wanted = targets(POSE, differences, np.eye(3))
     assert len(wanted) == EXECUTED
     np.testing.assert_allclose(wanted[0][:3], POSE[:3] + [0.010, 0, 0], atol=1e-12)
     np.testing.assert_allclose(turn(POSE, wanted[0]), [0, 0, 0.1], atol=1e-12)

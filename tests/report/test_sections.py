@@ -138,6 +138,24 @@ def test_each_limit_is_of_the_segment_that_is_drawn_and_named_on_its_line() -> N
     assert (svg.count(">pelvis<"), svg.count(">right forearm<")) == (2, 1), "20 N is below a quarter of 100 N"
 
 
+def test_on_the_exam_a_trace_shows_the_limit_that_decides() -> None:
+    """The largest force of a trial is less than the safety gate, and the thorax came nearer to it than the pelvis."""
+    forces = {
+        name: plateau(T, start=3, end=9, level=level, ripple=0) for name, level in (("pelvis", 11), ("thorax", 12))
+    }
+    recording = make_recording("T1", 0, forces, duration_s=12)
+    spec = recording.header.spec
+    limits = {"pelvis": 100.0, "thorax": 200.0, "forearm": 100.0}
+    protocol = load_protocol("bathing-wide-v2", level="L0")
+    protocol = protocol.model_copy(update={"limits": protocol.limits.model_copy(update={"f_pain_n": limits})})
+    header = recording.header.model_copy(update={"spec": spec.model_copy(update={"protocol": protocol})})
+    trace = force_trace(dataclasses.replace(recording, header=header), make_score("T1", 0))
+    assert trace.gate_n == pytest.approx(15.0)
+    assert [(limit.segment, limit.style, limit.value_n) for limit in trace.limits] == [
+        ("thorax", "gate", 15.0), ("thorax", "pain", 200.0),
+    ]  # fmt: skip
+
+
 def test_empty_recording_has_an_empty_trace() -> None:
     trace = force_trace(make_recording("T7", 0, {}, duration_s=0), make_score("T7", 0, **NO_CONTACT))
     assert trace.time_s.size == trace.target_n.size == trace.other_n.size == 0

@@ -87,12 +87,13 @@ def state(tool: F64, target: F64, time_s: float, way_m: float, scrubs: bool) -> 
     return np.array(numbers, "f4"), np.array(vectors, "f4")
 
 
-def targets(start: F64, differences: F64) -> list[F64]:
-    """Return poses (7,) of EXECUTED targets from the last one and the network's differences (OUTPUTS,)."""
+def targets(start: F64, differences: F64, axes: F64) -> list[F64]:
+    """Return poses (7,) of EXECUTED targets from the last one and a network's differences (OUTPUTS,), whose places are
+    along the rows of ``axes`` (3, 3)."""
     places, turns = np.sinh(differences[:-1]).reshape(2, CHUNK, 3)[:, :EXECUTED]
-    rotation = matrix_from_quat(start[3:])
+    places, rotation = SMALL_M * places @ axes, matrix_from_quat(start[3:])
     return [
-        np.append(start[:3] + SMALL_M * place, quat_from_matrix(matrix_from_vector(SMALL_RAD * vector) @ rotation))
+        np.append(start[:3] + place, quat_from_matrix(matrix_from_vector(SMALL_RAD * vector) @ rotation))
         for place, vector in zip(places, turns, strict=True)
     ]
 
@@ -129,7 +130,7 @@ class PointFlow:
         self._target: F64 | None = None
 
     def act(self, observation: Observation) -> list[Action]:
-        """Return the next half second of targets; done at once where the instruction is none that it learned."""
+        """Return the next half second of targets. An instruction that the policy was not trained on ends the trial."""
         if not self._known:
             return [Action(done=True)]
         tool, last = observation.pose_tcp_in_base, cloud(observation.cameras["overhead"])
@@ -138,7 +139,7 @@ class PointFlow:
         start = self._target
         numbers, vectors = state(tool, start, self._steps / HZ, self._way_m, self._scrubs)
         out = self.differences(self._first, last, numbers, vectors)
-        wanted, left = targets(start, out.astype(float)), float(out[-1])
+        wanted, left = targets(start, out.astype(float), np.eye(3)), float(out[-1])
         ends = left * CHUNK <= EXECUTED and self._steps > 5 * HZ
         self._target, self._steps = wanted[-1], self._steps + EXECUTED
         self._way_m += float(travelled(wanted, start)[-1])

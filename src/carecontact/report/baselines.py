@@ -47,8 +47,8 @@ def floor_of(baselines: Iterable[Sequence[TrialScore]]) -> dict[str, FloorRate]:
     for scores in baselines:
         for place in (ALL, *sorted({score.task_id for score in scores})):
             there = [score for score in scores if place in (ALL, score.task_id)]
-            rate, unsafe = (rate_of(there, field) for field in ("safety_gated", "c3_success"))
-            passed = rate.k / rate.n, unsafe.k / rate.n
+            rate, success = (rate_of(there, field) for field in ("safety_gated", "c3_success"))
+            passed = rate.k / rate.n, success.k / rate.n
             if place not in best or passed > best[place][0]:
                 blind = role_in(scores) == "blind"
                 best[place] = passed, FloorRate(policy=scores[0].policy_title, blind=blind, rate=rate)

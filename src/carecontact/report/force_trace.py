@@ -90,20 +90,18 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
 def _limits(contact: Contact) -> tuple[Limit, ...]:
     """Return the limits of the named region's segment, and of the other segment that came nearest to its own force
     limit. A segment that was never touched has no curve and so no limits, unless none was touched."""
-    protocol, largest = contact.protocol, contact.force_norm.max(axis=0, initial=0.0)
+    protocol, action = contact.protocol, contact.task.action
+    largest = contact.force_norm.max(axis=0, initial=0.0)
     drawn = [contact.target] if largest[contact.target] or not largest.any() else []
     others = [i for i in np.flatnonzero(largest).tolist() if i != contact.target]
     if others:
-        drawn.append(max(others, key=lambda i: largest[i] / protocol.f_pain(contact.segments[i])))
-    action, limits = contact.task.action, list[Limit]()
+        drawn.append(max(others, key=lambda i: largest[i] / protocol.most_n(action, contact.segments[i])))
+    limits: list[Limit] = []
     for i in drawn:
         name = contact.segments[i]
-        values: dict[Literal["gate", "pain"], float] = {
-            "gate": protocol.most_n(action, name),
-            "pain": protocol.f_pain(name),
-        }
-        for style, value_n in values.items():
-            limits.append(Limit(style=style, segment=name.replace("_", " "), value_n=value_n, largest_n=largest[i]))
+        of_segment = {"segment": name.replace("_", " "), "largest_n": largest[i]}
+        limits.append(Limit(style="gate", value_n=protocol.most_n(action, name), **of_segment))
+        limits.append(Limit(style="pain", value_n=protocol.f_pain(name), **of_segment))
     return tuple(limits)
 
 
