@@ -50,8 +50,8 @@ def test_two_processes_are_two_environments() -> None:
         together, _, terminated, _, info = vector.step(np.stack([row, row]))
         single = [env.step(row)[0] for env in alone]
     assert terminated.all()
-    assert info["task_description"].tolist() == ["gently touch the right forearm"] * 2
-    assert vector.call("task_description") == ("gently touch the right forearm",) * 2
+    assert info["task_description"].tolist() == ["gently touch the foam on the right forearm"] * 2
+    assert vector.call("task_description") == ("gently touch the foam on the right forearm",) * 2
     assert vector.call("_max_episode_steps") == (300, 300)
     vector.close()
     for env in alone:
