@@ -127,12 +127,13 @@ class Deeper(Planted):
 
 
 class SlowAndBlind(MeanPersonPolicy):
-    """Comes down on the mean person with 10 mm/s to 120 mm below the skin, and goes up again."""
+    """Comes down on the mean person with 10 mm/s to 120 mm below the skin or to the board, and goes up again."""
 
     name = "slow-and-blind"
 
     def _begin(self, intent: Intent, observation: Observation) -> Sequence[Action]:
         legs = self._planned(intent, observation)[1]
         over = end(legs[DOWN - 1])
-        low = Leg.to(over[:3] - (HOVER_M + 10 * TOUCH_DEPTHS_M[0]) * UP, over[3:], 0.01)
+        below = np.maximum(over[:3] - (HOVER_M + 10 * TOUCH_DEPTHS_M[0]) * UP, [-np.inf, -np.inf, 0.0])
+        low = Leg.to(below, over[3:], 0.01)
         return ended(along([*legs[:DOWN], low, *legs[-2:]], observation.pose_tcp_in_base))
