@@ -16,6 +16,7 @@ from carecontact import __version__
 from carecontact.cli import main
 from carecontact.cli.answers import schema_of
 from carecontact.cli.board import BoardEntry, recordings_sha256
+from carecontact.policies.registry import SHIPPED
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
 from carecontact.recording import Recording, read_recording, write_recording
@@ -147,6 +148,12 @@ def test_edited_scores_are_refused(run: Path, capsys: pytest.CaptureFixture[str]
     assert main(["submit", "mine", "--out", "board/arm.json", *GIVEN]) == 0
 
 
+def test_a_shipped_policy_needs_no_link(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SHIPPED, POLICY, SHIPPED["state-machine"])
+    assert main(["submit", "mine", "--out", "board/arm.json", *GIVEN[:2], *GIVEN[4:]]) == 0
+    assert json.loads(Path("board/arm.json").read_text())["link"] is None
+
+
 @pytest.mark.parametrize("entry", ["bathing-wide-v2:0-26,990-1010", "bathing-wide-draft:1000"])
 def test_exam_persons_in_training_are_refused(run: Path, capsys: pytest.CaptureFixture[str], entry: str) -> None:
     trial = f"T5-s{SEED}"
@@ -161,6 +168,7 @@ def test_other_refusals_name_what_is_valid(run: Path, capsys: pytest.CaptureFixt
     assert "--kind served: the policy ran in an isolated process" in refusal(capsys, *GIVEN[:4], "--kind", "served")
     link = [*GIVEN[:2], "--link", "javascript:alert(1)", *GIVEN[4:]]
     assert "--link javascript:alert(1): expected an address" in refusal(capsys, *link)
+    assert "is not shipped; expected an address" in refusal(capsys, *GIVEN[:2], *GIVEN[4:])
     assert "--name <script>: expected at most 60" in refusal(capsys, "--name", "<script>", *GIVEN[2:])
     for change, words in (
         (lambda plan: plan.update(policy="oracle"), "oracle is registered as privileged"),

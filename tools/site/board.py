@@ -116,10 +116,11 @@ def _html(columns: Sequence[str], rows: Iterable[Sequence[str]], *, cards: bool 
 
 def entry_page(stem: str, entry: BoardEntry) -> str:
     """Return the page of one entry: what it is, its ladder over the levels, its failures, and how to run it again."""
-    link, arguments = escape(entry.link), [f"{name}={value}" for name, value in entry.policy_arguments.items()]
+    link = f'<a href="{escape(entry.link)}">{escape(entry.link)}</a>' if entry.link else "shipped with carecontact"
+    arguments = [f"{name}={value}" for name, value in entry.policy_arguments.items()]
     facts = [
         ("method", KINDS[entry.method]),
-        ("link", f'<a href="{link}">{link}</a>'),
+        ("link", link),
         ("policy", f"<code>{escape(' '.join([entry.policy, *arguments]))}</code>, {entry.origin}"),
         ("receives", escape(", ".join(entry.receives)) or "the encoders alone"),
         ("trained on", escape(", ".join(entry.trained_on)) or "not stated by the card"),

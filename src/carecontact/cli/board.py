@@ -94,8 +94,8 @@ class BoardEntry(Answer):
     kind: Annotated[Literal["carecontact-board-entry-1"], Field(alias="schema")] = "carecontact-board-entry-1"
     name: Name
     """Name of the method, at most 60 characters."""
-    link: Annotated[str, Field(pattern=r"^https?://[^\s<>\"'`|()\[\]]{1,200}$")]
-    """Address of a paper, code or report."""
+    link: Annotated[str, Field(pattern=r"^https?://[^\s<>\"'`|()\[\]]{1,200}$")] | None
+    """Address of a paper, code or report; None for a shipped policy."""
     method: Kind
     policy: Text
     """The policy as the command line names it."""

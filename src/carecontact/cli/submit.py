@@ -37,8 +37,8 @@ class Submit:
     """The --out folders of runs of one policy, one for each level of the exam."""
     name: str
     """Name of the method on the board, at most 60 characters."""
-    link: str
-    """Address of its paper, code or report: http:// or https://."""
+    link: str | None = None
+    """Address of its paper, code or report: http:// or https://. Required, except for a shipped policy."""
     out: Path
     """The file to write, board/NAME.json; NAME of a to z, digits and hyphens."""
     kind: Literal["vision", "trained-on-simulation", "served"] | None = None
@@ -55,6 +55,7 @@ class Submit:
         from pydantic import ValidationError
 
         from carecontact.cli.board import BoardEntry, level_of
+        from carecontact.policies.registry import SHIPPED
         from carecontact.recording.file import replace_file
 
         self._check_out()
@@ -62,6 +63,8 @@ class Submit:
         _check_one_policy(found)
         named = [_scored(path) for path in self.baseline]
         first, scores = found[0], found[0].run.scores
+        if self.link is None and scores[0].policy not in SHIPPED:
+            raise ConfigError(f"--link: {scores[0].policy} is not shipped; expected {EXPECTED['link']}")
         card = first.header.card or {}
         facts: dict[str, object] = {
             "name": self.name,
