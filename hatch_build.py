@@ -22,7 +22,8 @@ class KernelBuildHook(BuildHookInterface):
         """A platform without a binary gets the rest of the package, which scores and reports recorded trials."""
         if version != "editable":
             # A report finds floor and ceiling there (report/baselines.py); a clone has them in docs.
-            build_data["force_include"][str(Path(self.root, "docs", "results"))] = "carecontact/assets/results"
+            for scores in Path(self.root, "docs", "results").glob("bathing-*/"):
+                build_data["force_include"][str(scores)] = f"carecontact/assets/results/{scores.name}"
         chosen = os.environ.get(PLATFORM_VARIABLE)
         if chosen and chosen not in binary.PLATFORMS:
             raise SystemExit(f"{PLATFORM_VARIABLE}={chosen} is not a platform; valid: {', '.join(binary.PLATFORMS)}")
