@@ -310,6 +310,7 @@ class Episode:
             spec=self.spec,
             ended=ended.reason,
             failure=ended.failure,
+            embodiment=self.simulation.robot.id,
             segments=list(SEGMENTS),
             regions=list(self.protocol.regions),
             human_joints=self.simulation.joint_names,
