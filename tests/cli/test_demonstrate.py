@@ -13,7 +13,7 @@ import pytest
 
 from carecontact.cli import main
 from carecontact.protocol.overrides import FAST_DT_S
-from carecontact.protocol.protocol import TRAINING_SHA256
+from carecontact.protocol.protocol import TRAINING_SALT, TRAINING_SHA256
 from carecontact.recording import read_recording
 from carecontact.runs.scoring import read_scores
 from tests.recording.test_lerobot import LEROBOT
@@ -137,11 +137,14 @@ def test_a_control_lies_in_the_run_and_its_report_shows_it(here: Path, capsys: p
 
 @pytest.mark.slow
 def test_a_run_on_persons_of_the_training_is_refused(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    policy = ["run", "--policy", "down:Down", "--policy-arg", "trained_on=bathing-v3:0-3", *SHORT]
+    policy = ["run", "--policy", "down:Down", "--policy-arg", "trained_on=bathing-wide-v2:0-3", *SHORT]
     assert main([*policy, "--seeds", "3", "--out", "r"]) == 2
-    assert "down:Down was trained on bathing-v3:0-3, as its card says" in capsys.readouterr().err
+    assert "down:Down was trained on bathing-wide-v2:0-3, as its card says" in capsys.readouterr().err
+    salted = [f"trained_on={TRAINING_SALT}" if part.startswith("trained_on") else part for part in policy]
+    assert main([*salted, "--seeds", "4", "--out", "r"]) == 2
+    assert f"is the training salt itself; give its sha256, {TRAINING_SHA256}" in capsys.readouterr().err
     assert main([*policy, "--seeds", "4", "--out", "r"]) == 0
-    assert "bathing-v3:0-3" in Path("r/report.html").read_text()
+    assert "bathing-wide-v2:0-3" in Path("r/report.html").read_text()
 
 
 @pytest.mark.slow

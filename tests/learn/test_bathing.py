@@ -364,7 +364,7 @@ def test_the_reward_of_a_trial_that_passes_is_one(cls: type[Bathing], task: str,
     assert look in env.observation_space
     rewards, ended = list[float](), False
     while not ended:
-        _, reward, terminated, truncated, info = env.step(np.zeros(7))
+        look, reward, terminated, truncated, info = env.step(np.zeros(7))
         rewards.append(reward)
         ended = terminated or truncated
     recording: Recording = episode.finish()
@@ -372,4 +372,8 @@ def test_the_reward_of_a_trial_that_passes_is_one(cls: type[Bathing], task: str,
     assert info["is_success"]
     assert rewards[-1] == 1.0
     assert not any(rewards[:-1])
+    if cls is BathingState:
+        region, foam = look["environment_state"][20:23], look["environment_state"][32:35]
+        off = np.linalg.norm(recording["scorer/foam_pose_in_region"][:3])
+        assert np.linalg.norm(foam - region) == pytest.approx(off, abs=1e-5)
     env.close()

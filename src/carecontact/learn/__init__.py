@@ -8,9 +8,9 @@ except ImportError:
     raise DependencyError("carecontact.learn needs gymnasium: pip install 'carecontact[learn]'") from None
 
 from carecontact.learn.bathing import LEVELS, TASKS, Bathing, BathingState, make_vec
-from carecontact.learn.persons import TRAINING_SALT
+from carecontact.learn.persons import TRAINING_SALT, TRAINING_SHA256
 
-__all__ = ["LEVELS", "TASKS", "TRAINING_SALT", "Bathing", "BathingState", "make_vec"]
+__all__ = ["LEVELS", "TASKS", "TRAINING_SALT", "TRAINING_SHA256", "Bathing", "BathingState", "make_vec"]
 
 for _suffix, _kind in (("", "Bathing"), ("-State", "BathingState")):
     _entry = f"carecontact.learn.bathing:{_kind}"

@@ -239,7 +239,7 @@ class BathingState(Bathing):
     Observation: besides ``agent_pos``, and pictures where ``cameras`` names any, ``environment_state``: for each of
     ``recording.schema.SEGMENTS`` the force of the robot on it [N], mean over the last period; the force (3,) on the
     named segment in base; pose of the named region in base, position (3,) [m] and ``rotation_6d`` (6,), and its size
-    (3,) [m]; the share of the gate that is reached, whether it is met, and whether the trial is safe; and 1 for the
+    (3,) [m]; the middle of the foam in base (3,) [m], or of the region where there is no foam; the share of the gate that is reached, whether it is met, and whether the trial is safe; and 1 for the
     trial's task among TASKS. ``info`` has the forces by segment as ``force_n``.
     """
 
@@ -257,7 +257,7 @@ class BathingState(Bathing):
             [
                 np.full(len(SEGMENTS), MOST_N),
                 np.full(3, MOST_N),
-                *(np.full(3, 3.0), np.ones(6), np.full(3, 2.0)),
+                *(np.full(3, 3.0), np.ones(6), np.full(3, 2.0), np.full(3, 3.0)),
                 np.ones(3 + len(TASKS)),
             ]
         ).astype(np.float32)
@@ -280,10 +280,12 @@ class BathingState(Bathing):
         to_base = matrix_from_quat(simulation.pose_base_in_world[3:]).T
         site = simulation.data.site(f"region_{region}")
         pose = simulation.encoders.in_base(simulation.data, site.xpos, site.xmat)
-        size = simulation.scene.frames[region].size_m
+        size, patch = simulation.scene.frames[region].size_m, simulation.scene.foam
+        foam = pose[:3, 3] if patch is None else pose[:3, :3] @ patch.middle + pose[:3, 3]
         reached = [0.0, 0.0, 1.0] if now is None else [now.share, float(now.success), float(now.safe)]
         task = [float(name == self.task) for name in TASKS]
-        parts = self._force_n, to_base @ force[named], pose[:3, 3], rotation_6d(pose[:3, :3]), size, reached, task
+        where = pose[:3, 3], rotation_6d(pose[:3, :3]), size, foam
+        parts = self._force_n, to_base @ force[named], *where, reached, task
         return np.clip(np.concatenate(parts), self._low, self._high).astype(np.float32)
 
 

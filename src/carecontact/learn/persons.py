@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carecontact.errors import ConfigError
-from carecontact.protocol.protocol import TRAINING_SALT, Protocol, TrialSpec
+from carecontact.protocol.protocol import TRAINING_SALT, TRAINING_SHA256, Protocol, TrialSpec
 
-__all__ = ["TRAINING_SALT", "numbers_of", "training_spec"]
+__all__ = ["TRAINING_SALT", "TRAINING_SHA256", "numbers_of", "training_spec"]
 
 
 def numbers_of(persons: int | Sequence[int]) -> tuple[int, ...]:

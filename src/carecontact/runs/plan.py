@@ -9,7 +9,7 @@ from typing import Self, TypeVar
 
 from carecontact.errors import ConfigError, UnknownNameError, did_you_mean
 from carecontact.protocol.load import load_levels, shipped_protocols
-from carecontact.protocol.protocol import Protocol, TrialSpec
+from carecontact.protocol.protocol import TRAINING_SALT, TRAINING_SHA256, Protocol, TrialSpec
 from carecontact.scoring.behaviour import behaviour_of
 from carecontact.scoring.contact import rate_faults
 from carecontact.scoring.gate_sweep import protocol_sweeps
@@ -99,6 +99,8 @@ def with_noise_salt(specs: list[TrialSpec], salt: str | None, *, one_of_several:
 def check_not_trained_on(trained_on: Sequence[str], specs: Sequence[TrialSpec]) -> None:
     """Raises ConfigError where a policy was trained, as its card says, on a person of these trials."""
     for entry in trained_on:
+        if entry == TRAINING_SALT:
+            raise ConfigError(f"trained_on: {entry} is the training salt itself; give its sha256, {TRAINING_SHA256}")
         name, colon, seeds = entry.partition(":")
         # Protocols that draw alike have the same persons, such as the exam and its DROID form.
         alike = load_levels(name).values() if name in shipped_protocols() else ()
