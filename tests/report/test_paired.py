@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from carecontact.report.baselines import beside_baselines
 from carecontact.report.comparison import Comparison, compare_runs
 from carecontact.report.overview import overview
-from carecontact.report.paired import RateLine, ScoreLine, difference_of, over_of, rate_of
+from carecontact.report.paired import RateLine, ScoreLine, difference_of
 from carecontact.report.sweep_levels import ladder
 from carecontact.report.sweep_table import CellScores
 from carecontact.runs import RunScores
+from carecontact.runs.pooling import over_of, rate_of
 from carecontact.scoring import TrialScore
 from carecontact.stats import McNemar, SignFlip, sign_flip, signed_rank, wilson_interval
 from tests.report.synthetic import FAILED, make_score

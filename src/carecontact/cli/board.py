@@ -14,9 +14,8 @@ from carecontact.cli.answers import Answer, Part
 from carecontact.recording import open_recording
 from carecontact.report.baselines import role_in
 from carecontact.report.comparison import trials_by_key
-from carecontact.report.paired import rate_of
 from carecontact.runs.plan import compact
-from carecontact.runs.pooling import judged
+from carecontact.runs.pooling import judged, rate_of
 from carecontact.runs.results_file import harmless_share
 from carecontact.runs.submission import Submission
 from carecontact.scoring.result import TrialScore

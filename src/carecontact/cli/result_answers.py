@@ -39,8 +39,10 @@ class Rate(Part):
     """Rate [percent]; null if no trial counts, and for an incomplete run."""
     pc_between: tuple[float, float]
     """Rate [percent] if all planned trials without a verdict failed, and if all of them passed."""
-    pc_ci95: tuple[float, float]
-    """Wilson's 95 % interval [percent]; for an incomplete run, it covers both of these."""
+    pc_ci95: tuple[float, float] | None
+    """95 % interval [percent]. Of success, region-correct and safety-gated trials, it is over persons where a seed is a
+    person, and null with fewer than six; else, it is Wilson's over trials. For an incomplete run, it covers both of
+    ``pc_between``."""
 
 
 class Exceedance(Rate):
@@ -63,7 +65,7 @@ class Summary(Part):
     n_success: int
     pc_success: float | None
     pc_success_between: tuple[float, float]
-    pc_success_ci95: tuple[float, float]
+    pc_success_ci95: tuple[float, float] | None
     region_correct: Rate
     safety_gated: Rate
     harmless: HarmlessRate

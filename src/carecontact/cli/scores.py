@@ -19,8 +19,8 @@ from carecontact.report.baselines import ALL, Baselines
 from carecontact.report.failures import only_crashes
 from carecontact.report.miss import Miss, nearest_miss
 from carecontact.report.tables import SummaryRow, limit_rows, load, nursing_rows, summary_rows
-from carecontact.report.words import joint_counts, listed
-from carecontact.runs.pooling import RunScores, judged, mixed, rejected_text, share
+from carecontact.report.words import enough_seeds, joint_counts, listed
+from carecontact.runs.pooling import RunScores, judged, mixed, over_of, rate_of, rejected_text, share
 from carecontact.runs.results_file import RESULTS_NAME, quadrants, valid_ratio
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.result import TrialScore
@@ -61,8 +61,11 @@ def _verdict(run: RunScores, whole: SummaryRow, beside: Baselines | None) -> str
         passed = whole.share(whole.safety_gated)
         text = f"{passed} safety-gated, from all others failed to all others passed; {run.completing}"
         return f"{policy}, {title}: {run.incomplete}: {text}"
-    passed, percent = whole.safety_gated, 100 * whole.safety_gated / whole.n
-    rates = [f"{policy} passes {passed} of {counted(whole.n, 'trial')} ({percent:.0f} %) of {title}"]
+    passed, percent = whole.safety_gated, f"{100 * whole.safety_gated / whole.n:.0f} %"
+    if enough_seeds(scores := judged(run.scores)):
+        found, over = rate_of(scores, "safety_gated"), "persons" if over_of(scores[0]) == "seeds" else "trials"
+        percent += f", 95 % interval over {over} {100 * found.low:.0f} to {100 * found.high:.0f} %"
+    rates = [f"{policy} passes {passed} of {counted(whole.n, 'trial')} ({percent}) of {title}"]
     if beside is not None and (floor := beside.floor.get(ALL)):
         name = "best blind baseline" if floor.blind else "best baseline"
         rates.append(f"{name}: {floor.policy} {floor.rate.k} of {floor.rate.n}")

@@ -239,8 +239,9 @@ class BathingState(Bathing):
     Observation: besides ``agent_pos``, and pictures where ``cameras`` names any, ``environment_state``: for each of
     ``recording.schema.SEGMENTS`` the force of the robot on it [N], mean over the last period; the force (3,) on the
     named segment in base; pose of the named region in base, position (3,) [m] and ``rotation_6d`` (6,), and its size
-    (3,) [m]; the middle of the foam in base (3,) [m], or of the region where there is no foam; the share of the gate that is reached, whether it is met, and whether the trial is safe; and 1 for the
-    trial's task among TASKS. ``info`` has the forces by segment as ``force_n``.
+    (3,) [m]; the middle of the foam in base (3,) [m], or of the region where there is no foam; the share of the gate
+    that is reached, whether it is met, and whether the trial is safe; and 1 for the trial's task among TASKS. ``info``
+    has the forces by segment as ``force_n``.
     """
 
     sees_truth: ClassVar[bool] = True

@@ -9,8 +9,8 @@ from pathlib import Path
 from carecontact.errors import CarecontactError, ConfigError
 from carecontact.policies.registry import POLICIES, Role, role_of
 from carecontact.report.comparison import check_comparable, check_complete, machines_text, trials_by_key
-from carecontact.report.paired import RATES, Over, difference_of, over_of, rate_of
-from carecontact.runs.pooling import RunScores, judged, rejected_text, share, task_of
+from carecontact.report.paired import RATES, difference_of
+from carecontact.runs.pooling import Over, RunScores, judged, over_of, rate_of, rejected_text, share, task_of
 from carecontact.runs.scoring import read_scores
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, RateDifference, difference_of_rates, wilson_interval

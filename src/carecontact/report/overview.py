@@ -11,9 +11,9 @@ from typing import Any
 from carecontact.errors import ConfigError
 from carecontact.report.baselines import Baselines, role_in
 from carecontact.report.comparison import check_comparable, conclude, document, machines_text, trials_by_key
-from carecontact.report.paired import RATES, Line, Over, over_of, rate_lines, rate_of
+from carecontact.report.paired import RATES, Line, rate_lines
 from carecontact.report.tables import SummaryRow, summary_rows
-from carecontact.runs.pooling import RunScores, rejected_text
+from carecontact.runs.pooling import Over, RunScores, over_of, rate_of, rejected_text
 from carecontact.runs.results_file import gamma_sweep, gate_sweep
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, RankingSweep, ranking_sweep

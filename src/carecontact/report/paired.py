@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from carecontact.report.words import number, shown
-from carecontact.runs.pooling import judged
+from carecontact.runs.pooling import Over, bodies, over_of, rate_of
 from carecontact.scoring.metrics.metric import metrics_in_order
-from carecontact.scoring.result import DRAWN, TrialScore
+from carecontact.scoring.result import TrialScore
 from carecontact.stats import (
     BootstrapDifference,
     DetectableDifference,
@@ -29,13 +29,10 @@ from carecontact.stats import (
     median,
     paired_difference,
     person_difference,
-    person_rate,
     signed_rank,
-    wilson_interval,
     worst_rank_paired,
 )
 
-Over = Literal["trials", "seeds"]
 OVER_TEXTS: dict[Over, str] = {
     "seeds": (
         "intervals and paired tests are over seeds: a seed is one person, whose trials on all tasks are not "
@@ -46,37 +43,6 @@ OVER_TEXTS: dict[Over, str] = {
     ),
 }
 """What the intervals of a comparison are over, in a sentence for its reader."""
-
-
-def over_of(score: TrialScore) -> Over:
-    """Return ``seeds`` where the protocol has levels, which share their persons, or draws bodies or places by seed.
-
-    Elsewhere, the seed changes only the angle of the arm, and trials are taken as independent, as the paper does.
-    """
-    has_level = " " in score.protocol_id
-    return "seeds" if has_level or any(name.startswith(DRAWN) for name in score.world) else "trials"
-
-
-def bodies(scores: Iterable[TrialScore]) -> dict[int, Hashable]:
-    """Seed -> the bodies that the protocol or a plan chose for it; seeds with the same ones are a stratum. A body that
-    the seed draws is as random as everything else about its person, and makes no stratum."""
-    found: dict[int, set[str]] = {}
-    for score in scores:
-        found.setdefault(score.seed, set()).add(score.world.get("body", ""))
-    return {seed: tuple(sorted(names)) for seed, names in found.items()}
-
-
-def rate_of(scores: Sequence[TrialScore], field: str) -> Proportion:
-    """Share of the judged trials whose ``field`` is true, over what their protocol takes as independent: Wilson's
-    interval of trials, or ``person_rate`` of seeds."""
-    counted = judged(scores)
-    passed = [bool(getattr(score, field)) for score in counted]
-    if not counted or over_of(counted[0]) == "trials":
-        return wilson_interval(sum(passed), len(passed))
-    found = person_rate(passed, persons=[score.seed for score in counted], strata=bodies(counted))
-    return Proportion(
-        k=found.k, n=found.n, confidence=found.confidence, estimate=found.estimate, low=found.low, high=found.high
-    )
 
 
 def difference_of(

@@ -19,8 +19,8 @@ from carecontact.report.comparison import check_comparable
 from carecontact.report.paired import RATES
 from carecontact.report.paper_figures import NO_DATE, write_figure
 from carecontact.report.paper_method import ABSENT, Method, Paper, Table, methods_of, read_paper
-from carecontact.report.words import SEEDS_FOR_INTERVAL, enough_seeds, listed
-from carecontact.runs.pooling import RunScores, rejected_text
+from carecontact.report.words import enough_seeds, listed
+from carecontact.runs.pooling import SEEDS_FOR_INTERVAL, RunScores, rejected_text
 from carecontact.scoring.metrics.metric import METRICS
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import fisher_exact, mann_whitney, median, wilson_interval

@@ -21,10 +21,9 @@ from carecontact.recording.schema import Header, Recording
 from carecontact.registry import Registry
 from carecontact.report.baselines import Baselines
 from carecontact.report.links import REPORT, link_report, shortened
-from carecontact.report.paired import rate_of
 from carecontact.report.tables import sorted_scores
 from carecontact.report.words import enough, listed, minus, percent, rounded, task_name
-from carecontact.runs.pooling import check_one_run, judged, unjudged
+from carecontact.runs.pooling import check_one_run, judged, rate_of, unjudged
 from carecontact.scoring.result import TrialScore
 from carecontact.stats import Proportion, wilson_interval
 

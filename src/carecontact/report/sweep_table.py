@@ -160,7 +160,7 @@ class Order:
     lower: int
     resampled_higher: float | None
     """Share of the resamples of the seeds in which a passes more often than b over all; None with fewer than
-    ``intervals.SEEDS_FOR_INTERVAL`` seeds."""
+    ``pooling.SEEDS_FOR_INTERVAL`` seeds."""
     resampled_equal: float | None
     resampled_lower: float | None
 

@@ -18,7 +18,7 @@ from carecontact.report.tables import headlines
 from carecontact.report.words import NA, NOT_DEFINED, TOO_FEW, enough, enough_seeds, listed, percent, shown
 from carecontact.runs.plan import compact
 from carecontact.runs.pooling import judged
-from carecontact.runs.results_file import rate
+from carecontact.runs.results_file import share_passed
 from carecontact.scoring.gate_sweep import sweeps_of
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
@@ -297,9 +297,11 @@ def as_csv(table: SweepTable) -> str:
         cell, counts = row.cell, row.counts
         numbers: list[object] = [0 if counts is None else counts.n, row.crashed, row.harness_errors]
         if counts is not None:
+            scores = judged(cell.scores)
             for name in RATES:
-                found = rate(getattr(counts, name), counts.n, unknown=counts.unknown)
-                between = found["pc_ci95"] if counts.unknown or enough_seeds(judged(cell.scores)) else ["", ""]
+                field = "c3_success" if name == "success" else name
+                found = share_passed(scores, field, unknown=counts.unknown)
+                between = found["pc_ci95"] if counts.unknown or enough_seeds(scores) else ["", ""]
                 numbers += [found["n"], "" if found["pc"] is None else found["pc"], *between]
             numbers += [counts.medians[metric.id].estimate for metric in metrics]
         numbers += [""] * (len(right) - len(numbers))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carecontact.errors import counted
+from carecontact.runs.pooling import SEEDS_FOR_INTERVAL
 from carecontact.scoring.metrics.metric import Metric
 from carecontact.scoring.result import TrialScore
 
@@ -95,9 +96,6 @@ def shown_unit(metric: Metric) -> tuple[float, str]:
     return 1.0, "" if metric.unit == "1" else metric.unit
 
 
-SEEDS_FOR_INTERVAL = 6
-"""Least number of seeds for an interval. With fewer pairs, not even a difference in every one of them is significant:
-the exact two-sided sign test gives 2 / 2^5 = 0.0625 for five, and 0.03125 for six."""
 TOO_FEW = f"no intervals: fewer than {SEEDS_FOR_INTERVAL} seeds"
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 from carecontact.errors import ConfigError, counted
 from carecontact.protocol.protocol import TRAINING_SHA256
 from carecontact.recording.schema import RANKED
 from carecontact.scoring.result import DRAWN, TrialScore
+from carecontact.stats import Proportion, person_rate, wilson_interval
 
 UNSALTED = "none"
 """Stands for the salt's hash in a run on published seeds, whose persons are others than those of a salted one."""
@@ -154,7 +156,7 @@ def world_difference(
 
 PROVENANCE = {"arithmetic": "arithmetic", "renderer": "renderer", "kernel": "binary of the tissue"}
 """Part of a score's provenance -> what it is, as messages name it. The compiled model follows from these."""
-EFFECT = "another arithmetic changed 0 of 126 measured verdicts, another renderer 1 of 42 (docs/evidence/audit.md)"
+EFFECT = "another arithmetic and renderer changed 2 of 378 measured verdicts (docs/results/README.md)"
 
 
 def machines(scores: Iterable[TrialScore], what: str) -> list[str]:
@@ -208,3 +210,40 @@ class RunScores:
         """What makes an incomplete run complete, as a part of a sentence."""
         parts = all(trial in self.elsewhere for trial in self.unjudged)
         return "join its parts with `carecontact merge`" if parts else "give its `carecontact run` command again"
+
+
+Over = Literal["trials", "seeds"]
+SEEDS_FOR_INTERVAL = 6
+"""Least number of seeds for an interval. With fewer pairs, not even a difference in every one of them is significant:
+the exact two-sided sign test gives 2 / 2^5 = 0.0625 for five, and 0.03125 for six."""
+
+
+def over_of(score: TrialScore) -> Over:
+    """Return ``seeds`` where the protocol has levels, which share their persons, or draws bodies or places by seed.
+
+    Elsewhere, the seed changes only the angle of the arm, and trials are taken as independent, as the paper does.
+    """
+    has_level = " " in score.protocol_id
+    return "seeds" if has_level or any(name.startswith(DRAWN) for name in score.world) else "trials"
+
+
+def bodies(scores: Iterable[TrialScore]) -> dict[int, Hashable]:
+    """Seed -> the bodies that the protocol or a plan chose for it; seeds with the same ones are a stratum. A body that
+    the seed draws is as random as everything else about its person, and makes no stratum."""
+    found: dict[int, set[str]] = {}
+    for score in scores:
+        found.setdefault(score.seed, set()).add(score.world.get("body", ""))
+    return {seed: tuple(sorted(names)) for seed, names in found.items()}
+
+
+def rate_of(scores: Sequence[TrialScore], field: str) -> Proportion:
+    """Share of the judged trials whose ``field`` is true, over what their protocol takes as independent: Wilson's
+    interval of trials, or ``person_rate`` of seeds."""
+    counted = judged(scores)
+    passed = [bool(getattr(score, field)) for score in counted]
+    if not counted or over_of(counted[0]) == "trials":
+        return wilson_interval(sum(passed), len(passed))
+    found = person_rate(passed, persons=[score.seed for score in counted], strata=bodies(counted))
+    return Proportion(
+        k=found.k, n=found.n, confidence=found.confidence, estimate=found.estimate, low=found.low, high=found.high
+    )

@@ -21,7 +21,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field, Va
 from carecontact.errors import ConfigError
 from carecontact.recording.file import replace_file
 from carecontact.recording.schema import RELEASE_0_1_0
-from carecontact.runs.pooling import RunScores, check_one_run, decides_force, harness_errors, judged, task_of
+from carecontact.runs.pooling import (
+    SEEDS_FOR_INTERVAL,
+    RunScores,
+    check_one_run,
+    decides_force,
+    harness_errors,
+    judged,
+    over_of,
+    rate_of,
+    task_of,
+)
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.metrics.force import HARMLESS
 from carecontact.scoring.metrics.metric import METRICS, Metric, described
@@ -43,6 +53,17 @@ def rate(k: int, n: int, *, unknown: int = 0) -> dict[str, Any]:
         between = [100 * least.estimate, 100 * most.estimate]
         percent = None if unknown else between[0]
     return {"n": k, "pc": percent, "pc_between": between, "pc_ci95": [100 * least.low, 100 * most.high]}
+
+
+def share_passed(scores: Sequence[TrialScore], field: str, *, unknown: int = 0) -> dict[str, Any]:
+    """Return ``rate`` of the judged trials of which a field is true. Where all verdicts are known, the interval is that
+    of ``rate_of``; None over fewer than ``SEEDS_FOR_INTERVAL`` persons."""
+    found = rate(sum(bool(getattr(s, field)) for s in scores), len(scores), unknown=unknown)
+    if scores and not unknown and over_of(scores[0]) == "seeds":
+        of_persons, persons = rate_of(scores, field), {s.seed for s in scores}
+        few = len(persons) < SEEDS_FOR_INTERVAL
+        found["pc_ci95"] = None if few else [100 * of_persons.low, 100 * of_persons.high]
+    return found
 
 
 def within(score: TrialScore, gamma: float) -> bool:
@@ -169,7 +190,7 @@ def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, An
     """Rates, medians and counts over ``judged`` trials; ``unknown`` trials without a verdict widen the rates."""
     scores = judged(scores)
     n = len(scores)
-    success = rate(sum(s.c3_success for s in scores), n, unknown=unknown)
+    success = share_passed(scores, "c3_success", unknown=unknown)
     additional = [described(id_) for id_ in sorted({id_ for s in scores for id_ in s.additional})]
     return {
         "n_planned": n + unknown,
@@ -178,8 +199,8 @@ def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, An
         "pc_success": success["pc"],
         "pc_success_between": success["pc_between"],
         "pc_success_ci95": success["pc_ci95"],
-        "region_correct": rate(sum(s.region_correct for s in scores), n, unknown=unknown),
-        "safety_gated": rate(sum(s.safety_gated for s in scores), n, unknown=unknown),
+        "region_correct": share_passed(scores, "region_correct", unknown=unknown),
+        "safety_gated": share_passed(scores, "safety_gated", unknown=unknown),
         "harmless": harmless_share(scores),
         "valid_contact": rate(sum(s.valid_contact for s in scores), n, unknown=unknown),
         "valid_ratio": valid_ratio(scores, unknown=unknown),

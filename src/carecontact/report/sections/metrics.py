@@ -6,10 +6,11 @@ from typing import Any
 
 from carecontact.report.baselines import ALL
 from carecontact.report.failures import only_crashes
-from carecontact.report.paired import RATES, rate_of
+from carecontact.report.paired import RATES
 from carecontact.report.run_page import FOLD, Page, section
 from carecontact.report.tables import COUNTS, POOLED, SummaryRow, headlines, load, nursing_rows, summary_rows
 from carecontact.report.words import NOT_DEFINED, enough_seeds, short_names, shown
+from carecontact.runs.pooling import rate_of
 from carecontact.runs.results_file import valid_ratio
 from carecontact.scoring.limits import footnote
 from carecontact.scoring.metrics.metric import METRICS

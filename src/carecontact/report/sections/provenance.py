@@ -13,8 +13,8 @@ from carecontact.protocol.sections import Variation
 from carecontact.recording.schema import Header, Recording
 from carecontact.report.links import MAX_TEXT, inside, of_file
 from carecontact.report.run_page import FOLD, Kept, Page, section
-from carecontact.report.words import SEEDS_FOR_INTERVAL, clipped_text, enough_seeds, listed
-from carecontact.runs.pooling import PROVENANCE, incomplete, machines, mixed
+from carecontact.report.words import clipped_text, enough_seeds, listed
+from carecontact.runs.pooling import PROVENANCE, SEEDS_FOR_INTERVAL, incomplete, machines, mixed
 from carecontact.scoring.metrics.force import GLIDE_M
 from carecontact.scoring.result import TrialScore
 
