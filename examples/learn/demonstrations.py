@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from carecontact.errors import CarecontactError
 from carecontact.interface.geometry import pose_matrix, quat_from_matrix
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import PolicyCard
@@ -43,9 +44,16 @@ def passed(folders):
 
 
 def each(work, folders, jobs=None):
-    """Return what ``work`` makes of each recording of ``passed``, in ``jobs`` processes, by default one per core."""
+    """Return what ``work`` makes of each recording of ``passed``, in ``jobs`` processes, by default one per core. Ends
+    the program where there is none."""
+    try:
+        recordings = passed(folders)
+    except CarecontactError as error:
+        raise SystemExit(f"error: {error}") from None
+    if not recordings:
+        raise SystemExit(f"error: no demonstration in {', '.join(map(str, folders))} passed safely")
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(work, passed(folders)))
+        return list(pool.map(work, recordings))
 
 
 def demonstration(path, card: PolicyCard, looks_hz=None):

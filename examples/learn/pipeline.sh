@@ -7,6 +7,7 @@
 #     sh pipeline.sh score OUT    # LEVELS and SEEDS (0-8), with a control, beside the blind floor
 #
 # Each command, given again, keeps the trials that are finished.
+[ $# = 2 ] || { echo "usage: sh pipeline.sh demos|train|score OUT" >&2; exit 2; }
 out=$2 rules=bathing-wide-v2
 export OMP_NUM_THREADS=1
 set -e
@@ -33,4 +34,5 @@ score)
         score --policy mean-person-hybrid --policy-arg person=bathing-wide-L2 --out "$out/floor-$level"
         score --policy look-and-press --out "$out/script-$level"
     done ;;
+*) echo "pipeline.sh: expected demos, train or score, got $1" >&2; exit 2 ;;
 esac

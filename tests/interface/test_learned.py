@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from carecontact.errors import ActionError
 from carecontact.interface.deltas import DELTAS
 from carecontact.interface.geometry import matrix_from_quat, matrix_from_vector, quat_from_matrix
-from carecontact.interface.learned import AGENT_POS, DOWN, MOST, LearnedActions, rotation_6d, square
+from carecontact.interface.learned import AGENT_POS, DOWN, MOST, DatasetRows, LearnedActions, rotation_6d, square
 from carecontact.interface.observation import Observation
 from carecontact.interface.robot import ActionBounds
 
@@ -125,3 +125,29 @@ def test_the_middle_of_a_picture_is_averaged() -> None:
     np.testing.assert_array_equal(square(picture, 2)[..., 0], [[100, 0], [100, 0]])
     picture[:, 4] = 50
     np.testing.assert_array_equal(square(picture, 2)[..., 0], [[100, 25], [100, 25]])
+
+
+@given(st.lists(st.tuples(st.floats(-0.5, 0.5), st.sampled_from([1.0, -1.0])), min_size=1, max_size=8))
+def test_the_state_of_a_dataset_does_not_depend_on_the_signs_of_quaternions(turns: list[tuple[float, float]]) -> None:
+    rows, last = DatasetRows(), None
+    for number, (turn, sign) in enumerate(turns):
+        quat = quat_from_matrix(matrix_from_vector(np.array([turn, 0.0, 0.0])) @ matrix_from_quat(DOWN))
+        look = seen(np.concatenate([POSE[:3], sign * quat]))
+        if number == 0:
+            rows.begin(look)
+        state = rows.state(look)
+        assert abs(state[3:7] @ quat) == pytest.approx(1.0, abs=1e-6)
+        assert state[3:7][np.abs(state[3:7]).argmax()] > 0 if last is None else state[3:7] @ last > 0
+        last = state[3:7]
+
+
+def test_a_row_of_a_dataset_becomes_the_target_behind_which_the_tool_lags() -> None:
+    rows = DatasetRows()
+    rows.begin(seen())
+    action = rows.action([0.4, 0.1, 0.28, 0.0, 2.0, 0.0, 0.0, 1.0])
+    assert action.done
+    np.testing.assert_allclose(action.pose_tcp_in_base, [0.4, 0.1, 0.28, *DOWN])
+    np.testing.assert_allclose(rows.state(seen())[-6:], [0, 0, -0.02, 0, 0, 0], atol=1e-6)
+    for wrong in ([0.0] * 7, [0.4, 0.1, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0], [np.nan] * 8):
+        with pytest.raises(ActionError, match="expected 8 finite numbers and a rotation"):
+            rows.action(wrong)

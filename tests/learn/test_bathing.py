@@ -291,6 +291,8 @@ def test_nothing_is_simulated_before_the_first_reset(monkeypatch: pytest.MonkeyP
         ({"persons": 0}, r"Bathing.persons: expected .* got 0"),
         ({"persons": [1, 1]}, r"Bathing.persons: expected .* got \[1, 1\]"),
         ({"persons": [-1]}, r"Bathing.persons: expected .* got \[-1\]"),
+        ({"persons": 2.5}, r"Bathing.persons: expected .* got 2.5"),
+        ({"cameras": "overhead"}, r"Bathing.cameras: expected several names, such as \('overhead',\)"),
         ({"cameras": ("top",)}, "no camera named 'top'"),
         ({"size": 1000}, "Bathing.size: expected 32 to 480 px, got 1000"),
         ({"reward": "shaped"}, "no reward named 'shaped'"),

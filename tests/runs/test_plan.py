@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from carecontact.errors import ConfigError
 from carecontact.interface.policy import PolicyCard
 from carecontact.protocol.load import load_protocol
-from carecontact.protocol.protocol import TRAINING_SALT, TRAINING_SHA256, Protocol, commitment
+from carecontact.protocol.protocol import TRAINING_SALT, TRAINING_SHA256, Protocol, TrialSpec, commitment
 from carecontact.recording import Failure, write_recording
 from carecontact.recording.schema import KILLED, POLICY_KILLED
 from carecontact.registry import Registry
@@ -342,3 +342,10 @@ def test_no_policy_is_tested_on_persons_of_its_training(trained_on: str, salt: s
         return
     with pytest.raises(ConfigError, match=r"p:P was trained on .*T1-s003 is a trial of such a person"):
         check_not_trained_on(card.trained_on, specs)
+
+
+def test_persons_of_an_unknown_protocol_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    protocol = load_protocol("bathing-wide-v2", level="L2")
+    spec = TrialSpec(protocol=protocol, task_id="T1", seed=1003, policy="p")
+    check_not_trained_on(["exam:1000-1026", "bathing-wide-v2:0-26"], [spec])
+    assert [record.args for record in caplog.records] == [("exam:1000-1026", "exam")]

@@ -65,7 +65,9 @@ class Lerobot:
         need_recordings(self.run)
         first = read_header(min(self.run.glob("*.h5")))
         chosen, left_out, written = self._trials(first), 0, 0
-        about = about_dataset(first, rendered=bool(self.render), trials=self.only or "default")
+        trials = self.only or "all, of demonstrations without labels the safety-gated ones"
+        rendered = f" Rows: {self.hz:g} a second, with {self.render}." if self.render else ""
+        about = about_dataset(first, rendered=bool(self.render), trials=f"{trials}.{rendered}")
         dataset = Dataset(folder=self.out, robot=first.embodiment, version=self.form, about=about)
         for trial_id, found in self._episodes(chosen):
             if isinstance(found, str):

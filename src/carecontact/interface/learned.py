@@ -112,3 +112,39 @@ class LearnedActions:
         parts = pose[:3], rotation_6d(tool), observation.joint_position, observation.joint_velocity
         numbers = np.concatenate([*parts, self.target[:3] - pose[:3], turn])
         return np.clip(numbers, -MOST, MOST).astype(np.float32)
+
+
+class DatasetRows:
+    """Makes ``observation.state`` of a dataset (``carecontact export lerobot --render``) of what a policy sees, and
+    actions of rows of ``action``: for the dataset itself, and for a policy that was trained on it."""
+
+    convention = DELTAS["metres-base"]
+    """That of ``action.delta``, and of the lag at the end of the state."""
+
+    def begin(self, first: Observation) -> None:
+        """Begin a trial with its first observation."""
+        self.target = first.pose_tcp_in_base.copy()
+        quat = self.target[3:]
+        self._quat = quat * np.sign(quat[np.abs(quat).argmax()])
+
+    def state(self, observation: Observation) -> F32:
+        """Return the state (27,): pose of the tool in base [m], quat_wxyz, angles [rad] and speeds [rad/s] of the
+        joints, and the lag from the tool to its last target, position [m] and rotation vector [rad].
+
+        Of a quaternion and its negative, it has the one with a positive largest number in the first row, and the one
+        nearer to the row before in every other.
+        """
+        pose = observation.pose_tcp_in_base
+        self._quat = pose[3:] if pose[3:] @ self._quat >= 0 else -pose[3:]
+        lag = self.convention.delta(self.target, measured=pose, last=pose)
+        parts = pose[:3], self._quat, observation.joint_position, observation.joint_velocity, lag
+        return np.concatenate(parts).astype(np.float32)
+
+    def action(self, row: npt.ArrayLike) -> Action:
+        """Return the action that a row (8,) means: position [m] and quat_wxyz of the target in base, and done above
+        one half. Raises ActionError for another shape and for what is not finite."""
+        numbers = np.asarray(row, np.float64)
+        if numbers.shape != (8,) or not np.isfinite(numbers).all() or not numbers[3:7].any():
+            raise ActionError(f"action: expected 8 finite numbers and a rotation, got {numbers.tolist()!s:.200}")
+        self.target = np.concatenate([numbers[:3], numbers[3:7] / np.linalg.norm(numbers[3:7])])
+        return Action(pose_tcp_in_base=self.target, done=bool(numbers[7] > 0.5))

@@ -121,7 +121,11 @@ class PolicyCard:
             _wrong("tool_velocity", "True or False", given["tool_velocity"])
         for entry in self.trained_on if isinstance(given["trained_on"], tuple | list) else [given["trained_on"]]:
             if not isinstance(entry, str) or TRAINED.fullmatch(entry) is None:
-                _wrong("trained_on", "a tuple of the sha256 of salts and of PROTOCOL:SEEDS such as exam:0-26", entry)
+                _wrong(
+                    "trained_on",
+                    "a tuple of the sha256 of salts and of PROTOCOL:SEEDS such as bathing-wide-v2:0-26",
+                    entry,
+                )
         check_arguments(given["arguments"])
         check_variables(given["environment"])
         rate = given["control_hz"]

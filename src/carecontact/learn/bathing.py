@@ -103,6 +103,8 @@ class Bathing(gym.Env[Numbers, F32]):
         for task in self.tasks or ("",):
             if task not in TASKS:
                 raise UnknownNameError("task", task, TASKS)
+        if isinstance(cameras, str):
+            raise ConfigError(f"Bathing.cameras: expected several names, such as ({cameras!r},), got {cameras!r:.40}")
         if unknown := [name for name in cameras if name not in CAMERAS]:
             raise UnknownNameError("camera", unknown[0], CAMERAS)
         if reward not in REWARDS:

@@ -17,6 +17,8 @@ def numbers_of(persons: int | Sequence[int]) -> tuple[int, ...]:
     Raises ConfigError if there are none, or if a number is negative or repeated.
     """
     expected = "Bathing.persons: expected a number of persons from 1 on, or different numbers of persons from 0 on"
+    if not isinstance(persons, int | Sequence):
+        raise ConfigError(f"{expected}; got {persons!r:.80}")
     numbers = tuple(range(persons) if isinstance(persons, int) else persons)
     if not numbers or len(set(numbers)) < len(numbers) or any(type(n) is not int or n < 0 for n in numbers):
         raise ConfigError(f"{expected}; got {persons!r:.80}")

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from carecontact.errors import RecordingError
-from carecontact.interface.deltas import DELTAS
 from carecontact.interface.geometry import pose_matrix, quat_from_matrix
+from carecontact.interface.learned import DatasetRows
 from carecontact.interface.observation import Observation
 from carecontact.interface.policy import CAMERAS
 from carecontact.protocol.protocol import TrialSpec
@@ -172,8 +172,6 @@ class _Images(Sequence[npt.NDArray[np.uint8]]):
 
 LAG = ("lag_x", "lag_y", "lag_z", "lag_rx", "lag_ry", "lag_rz")
 DELTA = ("dx", "dy", "dz", "rx", "ry", "rz")
-BASE = "metres-base"
-"""The convention of ``action.delta`` and of the lag (``interface.deltas``)."""
 
 
 def rows_of(recording: Recording, seen: Sequence[Observation], *, hz: float, success: bool) -> dict[str, Stream]:
@@ -204,15 +202,19 @@ def rows_of(recording: Recording, seen: Sequence[Observation], *, hz: float, suc
     # The action that ends a trial may lie between two rows.
     done[-1] = max(done[-1], ends)
     before = np.vstack([start, executed[:-1]])
-    deltas, tool = DELTAS[BASE], np.array([each.pose_tcp_in_base for each in seen])
-    relative = [deltas.delta(pose, measured=last, last=last) for pose, last in zip(chosen, before, strict=True)]
-    lag = [deltas.delta(last, measured=pose, last=pose) for last, pose in zip(before, tool, strict=True)]
-    joints = range(1, 1 + len(seen[0].joint_position))
-    state = {POSE: _same_sign(tool), tuple(f"joint{k}" for k in joints): [each.joint_position for each in seen]}
-    state |= {tuple(f"velocity{k}" for k in joints): [each.joint_velocity for each in seen], LAG: lag}
+    relative = [
+        DatasetRows.convention.delta(pose, measured=last, last=last) for pose, last in zip(chosen, before, strict=True)
+    ]
+    rows, joints = DatasetRows(), range(1, 1 + len(seen[0].joint_position))
+    rows.begin(seen[0])
+    states = []
+    for each, target in zip(seen, executed, strict=True):
+        states.append(rows.state(each))
+        rows.target = target
+    names = (*POSE, *(f"joint{k}" for k in joints), *(f"velocity{k}" for k in joints), *LAG)
     last = np.arange(len(seen)) == len(seen) - 1
     streams = {
-        "observation.state": _stream(sum(state, ()), *state.values()),
+        "observation.state": _stream(names, states),
         "action": _stream((*POSE, "done"), _same_sign(chosen), done[:, None]),
         "action.delta": _stream((*DELTA, "done"), relative, done[:, None]),
         "next.done": Stream(names=("done",), values=last[:, None]),
@@ -258,7 +260,8 @@ def histogram_of(images: Sequence[Any], shown: Any) -> npt.NDArray[np.int64]:
 
 
 def about_dataset(header: Header, *, rendered: bool, trials: str) -> str:
-    """Return what README.md of a dataset says of its trials. ``header``: of any of them; ``trials``: which of them."""
+    """Return what README.md of a dataset says of its trials. ``header``: of any of them; ``trials``: which of them, as
+    sentences."""
     spec = header.spec
     shown = "was given the simulation" if header.privileged else "received only what a policy receives"
     persons = (
@@ -269,7 +272,7 @@ def about_dataset(header: Header, *, rendered: bool, trials: str) -> str:
     return f"""# {spec.protocol.title}
 
 - Demonstrator: {spec.policy}, which {shown} (privileged: {str(header.privileged).lower()}).
-- Persons: {persons}. Sha256 of the salt: {spec.commitment or "none"}. Trials: {trials}.
+- Persons: {persons}. Sha256 of the salt: {spec.commitment or "none"}. Trials: {trials}
 - Protocol: {spec.protocol.title}, sha256 {spec.protocol.sha256}.
 {ROWS if rendered else ""}"""
 
@@ -280,7 +283,8 @@ ROWS = """\
   is declared done. `action.delta` leads from the target of the row before to `action`: translation [m] and rotation
   vector [rad] along the axes of the base. `action.executed`, if any, is what the robot was given where that was
   disturbed or chosen by another policy; `action` is then what the demonstrator wanted.
-- `observation.state` ends with the lag, from the tool to the target before: the tool feels through it.
+- `observation.state` ends with the lag, from the tool to the target before: the tool feels through it. In a run,
+  `DatasetRows` of `carecontact.interface.learned` makes the same state, and actions of rows of `action`.
 - Pictures are the middle square of the camera's, each pixel the mean of the area that it covers.
 - Split by `person`: a person appears in several tasks.
 """

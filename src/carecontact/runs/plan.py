@@ -3,6 +3,7 @@ before."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar
@@ -15,6 +16,8 @@ from carecontact.scoring.contact import rate_faults
 from carecontact.scoring.gate_sweep import protocol_sweeps
 from carecontact.scoring.limits import LIMIT_PACKS
 from carecontact.scoring.metrics.metric import checked_metrics
+
+logger = logging.getLogger(__name__)
 
 SALT_DIGITS = 32
 """Number of digits, in base 16, of the salt of a run's sensor noise."""
@@ -102,6 +105,10 @@ def check_not_trained_on(trained_on: Sequence[str], specs: Sequence[TrialSpec]) 
         if entry == TRAINING_SALT:
             raise ConfigError(f"trained_on: {entry} is the training salt itself; give its sha256, {TRAINING_SHA256}")
         name, colon, seeds = entry.partition(":")
+        if colon and name not in shipped_protocols() and name not in {spec.protocol.id for spec in specs}:
+            logger.warning(
+                "trained_on %s: %s is no shipped protocol, so that its persons cannot be checked", entry, name
+            )
         # Protocols that draw alike have the same persons, such as the exam and its DROID form.
         alike = load_levels(name).values() if name in shipped_protocols() else ()
         names = {name, *(protocol.drawn_as for protocol in alike)}
