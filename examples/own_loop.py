@@ -3,13 +3,15 @@
 Nothing hides the simulation from a policy that runs in the same process, so report results of `carecontact run` only.
 """
 
+from pathlib import Path
+
 from my_policy import MyPolicy
 
 from carecontact.episode.episode import Episode
 from carecontact.interface.action import Action
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
-from carecontact.recording import Recording
+from carecontact.recording import Recording, write_recording
 from carecontact.scoring import score_recording
 from carecontact.serving.codec import observation_sha256
 
@@ -31,6 +33,8 @@ def run(spec: TrialSpec, policy: MyPolicy) -> Recording:
 
 
 if __name__ == "__main__":
-    trial = TrialSpec(protocol=load_protocol("bathing-v3"), task_id="T1", seed=0, policy="my_policy:MyPolicy")
-    score = score_recording(run(trial, MyPolicy()))
-    print(f"{score.trial_id}: ended as {score.ended}, success {score.c3_success}")
+    rules = load_protocol("bathing-wide-v2", level="L2")
+    recording = run(TrialSpec(protocol=rules, task_id="T1", seed=0, policy="my_policy:MyPolicy"), MyPolicy())
+    write_recording(recording, Path("own_loop.h5"))
+    score = score_recording(recording)
+    print(f"{score.trial_id}: ended as {score.ended}, passed {score.safety_gated}, recording: own_loop.h5")

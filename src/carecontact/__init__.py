@@ -17,6 +17,8 @@ _OFFERED = {
     "evaluate": "carecontact.api.evaluate",
 }
 
+__all__ = list(_OFFERED)  # pyright: ignore[reportUnsupportedDunderAll]
+
 
 def __getattr__(name: str) -> object:
     if name not in _OFFERED:

@@ -117,7 +117,7 @@ def test_what_step_says_is_how_it_ended(again: Callable[[TrialSpec], World], mon
             (False, False, None),
             (False, True, "time_limit"),
         ]
-        with pytest.raises(ConfigError, match="before the episode has ended"):
+        with pytest.raises(ConfigError, match="the trial has ended"):
             episode.step(Action())
         recording = episode.finish()
     assert len(recording["scorer/time_s"]) == 25

@@ -251,8 +251,9 @@ class Episode:
                 episode is then as it was.
             SceneError, SettleError: the world cannot be built, and no step is possible before another reset.
         """
-        if self.card is None or self._closed:
-            raise ConfigError("Episode.reset: set the card first, and call it inside its with")
+        self._check_open("reset")
+        if self.card is None:
+            raise ConfigError("Episode.reset: set the card first")
         card = self.card
         if not self._fresh or spec not in (None, self.spec):
             self._begin(spec or self.spec)
@@ -281,12 +282,17 @@ class Episode:
         self._limit_steps = round(self.protocol.phases.time_limit_s / dt_s)
         return self._observe()
 
+    def _check_open(self, method: str) -> None:
+        if self._closed:
+            raise ConfigError(f"Episode.{method}: the episode is closed; call it inside its with")
+
     def look(self) -> Observation:
         """Return what a policy would see now: after the end, the last observation of the trial. It leaves no trace in
         the recording. Raises ConfigError before ``reset``.
         """
-        if self._builder is None or self._closed:
-            raise ConfigError("Episode.look: call it after reset(), and inside its with")
+        self._check_open("look")
+        if self._builder is None:
+            raise ConfigError("Episode.look: call it after reset()")
         self.simulation.refresh()
         return self._builder.build(
             self.simulation.data, instruction=self.instruction, sim_time_s=self.simulation.time_s
@@ -373,8 +379,11 @@ class Episode:
             ActionError: ``action`` is no action or lies outside its space; the episode is unchanged.
             ConfigError: before ``reset``, after the end, or outside the episode's ``with``.
         """
-        if self._perception is None or self._ended is not None or self._closed:
-            raise ConfigError("Episode.step: call it after reset(), before the episode has ended, and inside its with")
+        self._check_open("step")
+        if self._ended is not None:
+            raise ConfigError(f"Episode.step: the trial has ended ({self._ended.reason}); call reset() or finish()")
+        if self._perception is None:
+            raise ConfigError("Episode.step: call reset() first")
         assert self.card is not None
         assert self._driver is not None
         checked, clipped = self.check(action)

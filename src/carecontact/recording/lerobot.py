@@ -207,7 +207,7 @@ def rows_of(recording: Recording, seen: Sequence[Observation], *, hz: float, suc
     ]
     rows, joints = DatasetRows(), range(1, 1 + len(seen[0].joint_position))
     rows.begin(seen[0])
-    states = []
+    states: list[npt.NDArray[np.float32]] = []
     for each, target in zip(seen, executed, strict=True):
         states.append(rows.state(each))
         rows.target = target
