@@ -73,11 +73,19 @@ def passed(run: RunScores) -> int:
 
 
 def table(runs: list[RunScores]) -> str:
-    """Return a row for each policy with its arguments, and a column for each protocol and level."""
+    """Return a table for each protocol, with a row for each policy with its arguments, and a column for each level."""
+    families: dict[str, list[RunScores]] = defaultdict(list)
+    for run in runs:
+        families[run.scores[0].protocol_id.partition(" ")[0]].append(run)
+    # The exam has levels and comes first.
+    order = sorted(families.values(), key=lambda family: (" " not in family[0].scores[0].protocol_id, -len(family)))
+    return "\n".join(map(_table, order))
+
+
+def _table(runs: list[RunScores]) -> str:
     cells = {(run.scores[0].policy_title, run.scores[0].protocol_id): run for run in runs}
     policies = {title for title, _ in cells}
-    # The exam has levels and comes first: a page may cut wide tables off at the right.
-    protocols = sorted({name for _, name in cells}, key=lambda name: (" " not in name, name))
+    protocols = sorted({name for _, name in cells})
     total = {policy: sum(passed(run) for (title, _), run in cells.items() if title == policy) for policy in policies}
     lines = [f"| policy | {' | '.join(protocols)} |", "|---" * (1 + len(protocols)) + "|"]
     for title in sorted(policies, key=lambda policy: (-total[policy], policy)):
