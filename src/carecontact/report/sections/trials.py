@@ -65,7 +65,7 @@ def trials(page: Page) -> dict[str, Any] | None:
     return {
         "trials": page.trials,
         "rows": rows,
-        "labels": [metric.label for metric in headlines()] if any(row.cells for row in rows) else [],
+        "labels": [(metric.label, metric.title) for metric in headlines()] if any(row.cells for row in rows) else [],
         "tasks": sorted({row.score.task_id for row in rows}),
         "results": sorted({row.result[1] for row in rows}),
         "pages": any(f"trial/{row.score.trial_id}.html" in page.links for row in rows),
