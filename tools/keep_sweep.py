@@ -19,9 +19,12 @@ from collections import defaultdict
 from pathlib import Path
 
 from carecontact.errors import CarecontactError
+from carecontact.report.tables import headlines
+from carecontact.report.words import shown
 from carecontact.runs.pooling import RunScores
-from carecontact.runs.results_file import pack_results
+from carecontact.runs.results_file import pack_results, share_passed
 from carecontact.runs.scoring import read_scores
+from carecontact.stats import median
 
 TABLE_BEGINS, TABLE_ENDS = "<!-- table -->\n", "<!-- end of the table -->\n"
 
@@ -73,27 +76,47 @@ def passed(run: RunScores) -> int:
 
 
 def table(runs: list[RunScores]) -> str:
-    """Return a table for each protocol, with a row for each policy with its arguments, and a column for each level."""
+    """Return a table for each protocol, with a row for each policy with its arguments: of a protocol with levels with a
+    column for each, of another one with the columns of the paper."""
     families: dict[str, list[RunScores]] = defaultdict(list)
     for run in runs:
         families[run.scores[0].protocol_id.partition(" ")[0]].append(run)
     # The exam has levels and comes first.
     order = sorted(families.values(), key=lambda family: (" " not in family[0].scores[0].protocol_id, -len(family)))
-    return "\n".join(map(_table, order))
+    return "\n".join(_levels(family) if " " in family[0].scores[0].protocol_id else _paper(family) for family in order)
 
 
-def _table(runs: list[RunScores]) -> str:
+def _levels(runs: list[RunScores]) -> str:
     cells = {(run.scores[0].policy_title, run.scores[0].protocol_id): run for run in runs}
     policies = {title for title, _ in cells}
     protocols = sorted({name for _, name in cells})
     total = {policy: sum(passed(run) for (title, _), run in cells.items() if title == policy) for policy in policies}
     lines = [f"| policy | {' | '.join(protocols)} |", "|---" * (1 + len(protocols)) + "|"]
     for title in sorted(policies, key=lambda policy: (-total[policy], policy)):
-        name, _, arguments = title.partition(" ")
         row = (cells.get((title, protocol)) for protocol in protocols)
         rates = (f"{passed(run)} ({100 * passed(run) / len(run.scores):.0f} %)" if run else "not run" for run in row)
-        lines.append(f"| `{name}`{f' {arguments}' if arguments else ''} | {' | '.join(rates)} |")
+        lines.append(f"| {_named(title)} | {' | '.join(rates)} |")
     return "\n".join(lines) + "\n"
+
+
+def _paper(runs: list[RunScores]) -> str:
+    columns = ("Success [%]", "Region-correct [%]", "Safety-gated [%]", *(metric.label for metric in headlines()))
+    head = f"{runs[0].scores[0].protocol_id}, {len(runs[0].scores)} trials"
+    lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
+    for run in sorted(runs, key=lambda run: (-passed(run), run.scores[0].policy)):
+        rates = [share_passed(run.scores, field) for field in ("c3_success", "region_correct", "safety_gated")]
+        cells = [f"{rate['pc']:.0f} ({rate['pc_ci95'][0]:.0f} to {rate['pc_ci95'][1]:.0f})" for rate in rates]
+        for metric in headlines():
+            found = median(metric.pooled(run.scores))
+            value = shown(found.estimate, digits=metric.digits, unit=metric.unit)
+            cells.append(value if found.n_valid == found.n else f"{value} (n={found.n_valid})")
+        lines.append(f"| {_named(run.scores[0].policy_title)} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _named(title: str) -> str:
+    name, _, arguments = title.partition(" ")
+    return f"`{name}`{f' {arguments}' if arguments else ''}"
 
 
 def main(arguments: list[str] | None = None) -> int:
