@@ -100,12 +100,19 @@ def _levels(runs: list[RunScores]) -> str:
 
 
 def _paper(runs: list[RunScores]) -> str:
-    columns = ("Success [%]", "Region-correct [%]", "Safety-gated [%]", *(metric.label for metric in headlines()))
+    columns = (
+        "passed",
+        "Success [%]",
+        "Region-correct [%]",
+        "Safety-gated [%]",
+        *(metric.label for metric in headlines()),
+    )
     head = f"{runs[0].scores[0].protocol_id}, {len(runs[0].scores)} trials"
     lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
     for run in sorted(runs, key=lambda run: (-passed(run), run.scores[0].policy)):
         rates = [share_passed(run.scores, field) for field in ("c3_success", "region_correct", "safety_gated")]
-        cells = [f"{rate['pc']:.0f} ({rate['pc_ci95'][0]:.0f} to {rate['pc_ci95'][1]:.0f})" for rate in rates]
+        cells = [f"{passed(run)} ({rates[-1]['pc']:.0f} %)"]
+        cells += [f"{rate['pc']:.0f} ({rate['pc_ci95'][0]:.0f} to {rate['pc_ci95'][1]:.0f})" for rate in rates]
         for metric in headlines():
             found = median(metric.pooled(run.scores))
             value = shown(found.estimate, digits=metric.digits, unit=metric.unit)
