@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 from carecontact.recording.schema import Failure
 from carecontact.runs import results, summarise
 from carecontact.runs.pooling import RunScores
-from carecontact.runs.results_file import GAMMAS, exceedances, gamma_sweep, gate_sweep, quadrants, valid_ratio, within
+from carecontact.runs.results_file import (
+    GAMMAS,
+    exceedances,
+    gamma_sweep,
+    gate_sweep,
+    quadrants,
+    valid_ratio,
+    within,
+)
 from carecontact.scoring import TrialScore, score_recording
+from carecontact.stats import person_rate, wilson_interval
 from tests.scoring.synthetic import before_start, hold, make_recording, push, scrub, touch
 
 GENTLE, HARD, PAINFUL = (score_recording(touch(force=f, seed=i)) for i, f in enumerate((5.0, 40.0, 120.0)))
@@ -54,6 +63,25 @@ def test_a_force_above_the_gate_before_a_crash_counts() -> None:
         "n_success": 0,
     }
     assert quadrants([crashed])["crashed"] == 1
+
+
+@pytest.mark.parametrize("persons", [5, 6])
+def test_an_interval_is_over_persons_where_a_seed_is_one(persons: int) -> None:
+    """Of two trials of each person, all or none pass: an interval over trials would be too narrow."""
+    level = {"protocol_id": "bathing-wide-v2 L2"}
+    scores = [
+        (GENTLE if seed % 2 else MISSED).model_copy(update={**level, "task_id": task, "seed": seed})
+        for seed in range(persons)
+        for task in ("T1", "T3")
+    ]
+    found = summarise(scores)
+    passed = [score.c3_success for score in scores]
+    over = person_rate(passed, persons=[score.seed for score in scores])
+    wanted = None if persons < 6 else [100 * over.low, 100 * over.high]
+    assert found["pc_success_ci95"] == found["safety_gated"]["pc_ci95"] == wanted
+    trials = wilson_interval(sum(passed), len(passed))
+    assert over.low < trials.low
+    assert found["valid_contact"]["pc_ci95"] is not None
 
 
 def test_valid_ratio_is_coverage_and_not_success() -> None:
