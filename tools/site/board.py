@@ -180,7 +180,7 @@ def _level(level: BoardLevel) -> str:
         ("salt sha256", _salt(level)),
         ("recordings sha256", f"<code>{escape(level.recordings_sha256[:12])}</code>"),
     ]
-    tables = [("passed", passed), ("how others failed", failed), ("why", causes), ("made with", made)]
+    tables = [("passed", passed), ("how the other trials failed", failed), ("why", causes), ("made with", made)]
     return "\n\n".join(_html((title, ""), rows) for title, rows in tables if rows)
 
 

@@ -134,14 +134,16 @@ def share_of(scores: Sequence[TrialScore], field: str = "safety_gated") -> Share
 def best_beside(
     role: Literal["blind", "privileged"], runs: Iterable[Sequence[TrialScore]], method: Sequence[TrialScore] = ()
 ) -> Beside | None:
-    """Return the policy of a role that passes most, on the method's trials, or on all of its own if none is shared."""
-    keys, found = trials_by_key(method), list[Beside]()
+    """Return the policy of a role that passes most, on the method's trials, or on all of its own if none is shared; of
+    equal ones, that with more success before safety, as ``floor_of`` chooses."""
+    keys, found = trials_by_key(method), list[tuple[float, float, Beside]]()
     for scores in runs:
         if role_in(scores) == role:
             scores = [s for s in scores if (s.task_id, s.seed) in keys] or list(scores)
             seeds = compact({s.seed for s in scores})
-            found.append(Beside(policy=scores[0].policy_title, seeds=seeds, passes=passes_of(scores)))
-    return max(found, key=lambda beside: beside.passes.whole.pc or 0.0, default=None)
+            beside = Beside(policy=scores[0].policy_title, seeds=seeds, passes=passes_of(scores))
+            found.append((beside.passes.whole.pc or 0.0, share_of(scores, "c3_success").pc or 0.0, beside))
+    return max(found, key=lambda each: each[:2], default=(0.0, 0.0, None))[2]
 
 
 def level_of(submission: Submission, beside: Sequence[Sequence[TrialScore]]) -> BoardLevel:
