@@ -157,7 +157,7 @@ def world_difference(
 PROVENANCE = {"arithmetic": "arithmetic", "renderer": "renderer", "kernel": "binary of the tissue"}
 """Part of a score's provenance -> what it is, as messages name it. The compiled model follows from these."""
 EFFECT = (
-    "another arithmetic changed 1 of 189 measured verdicts, another arithmetic and renderer 2 of 378 "
+    "another arithmetic changed 2 of 378 measured verdicts, another arithmetic and renderer 2 of 378 "
     "(docs/results/README.md)"
 )
 
