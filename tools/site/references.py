@@ -42,8 +42,20 @@ OFFERED = {
     ],
     "Recordings and scores": [
         "carecontact.recording.schema.Recording",
+        "carecontact.recording.schema.Header",
+        "carecontact.recording.file.read_recording",
+        "carecontact.recording.file.write_recording",
         "carecontact.scoring.score.score_recording",
         "carecontact.scoring.result.TrialScore",
+    ],
+    "Learning": [
+        "carecontact.learn.bathing.Bathing",
+        "carecontact.learn.bathing.BathingState",
+        "carecontact.learn.bathing.make_vec",
+        "carecontact.interface.learned.LearnedActions",
+        "carecontact.interface.learned.DatasetRows",
+        "carecontact.interface.learned.square",
+        "carecontact.interface.learned.cloud",
     ],
     "Errors": ["carecontact.errors"],
 }
