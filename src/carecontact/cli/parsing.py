@@ -262,8 +262,7 @@ MISSING_OPTION, UNRECOGNIZED = "Missing from carecontact ", "Unrecognized option
 
 
 def _check_options(name: str, command: type[Any], arguments: Sequence[str]) -> None:
-    """Raises UsageError for the first option that a command does not have. The dashes, which all options share, do not
-    count for what may have been meant, and the name of a positional argument is never meant."""
+    """Raises UsageError for the first option that a command does not have."""
     valid = option_names(command)
     for argument in arguments:
         option = argument.partition("=")[0].replace("_", "-")

@@ -72,11 +72,8 @@ def _disturbed(episode: Episode, *, mm: float) -> Teaching:
 
 
 def _labelled(episode: Episode) -> Teaching:
-    """Label every action of the acting policy with the oracle's target from the same state.
-
-    The oracle's motion goes on at its own rate while the tool is near its target. It waits for a tool that the policy
-    has led elsewhere, and begins again from there if the tool stays away.
-    """
+    """Label every action of the acting policy with the oracle's target from the same state. The oracle waits for a tool
+    that is led elsewhere, and begins again there if it stays away."""
     simulation, away_s, label = episode.simulation, 0.0, Action()
 
     def planned() -> Oracle:

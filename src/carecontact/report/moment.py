@@ -135,11 +135,8 @@ def place_notes(recording: Recording, moment: Moment) -> list[str]:
 
 
 def _outline_text(recording: Recording, moment: Moment) -> str:
-    """Whether the contact lay inside the outline of the region's cells; empty for a recording without cells.
-
-    Cells go round a limb, so that both are laid flat: x along the region, y the angle about its axis times the
-    outward radius.
-    """
+    """Whether the contact lay inside the outline of the region's cells, laid flat; empty for a recording without
+    cells."""
     cells = recording.arrays.get("scorer/cell_in_region")
     if cells is None or len(cells) < 3:
         return ""

@@ -219,8 +219,7 @@ def summarise(scores: Iterable[TrialScore], *, unknown: int = 0) -> dict[str, An
 
 
 def _median_key(metric: Metric) -> str:
-    """Return the metric's field, and what it is pooled over. Push stands for all actions that move the person: the key
-    is part of the format, which does not change where another package adds such an action."""
+    """Return the metric's field, and what it is pooled over; push stands for all actions that move the person."""
     pool = ("push",) if metric.pool == "moving" else metric.pool or ()
     return "_".join((metric.field or metric.id, *pool))
 

@@ -185,9 +185,7 @@ class PolicyConversation(ABC):
         return ""
 
     def _cause(self, error: PolicyError) -> tuple[str, str, str]:
-        """Return the kind of a failure; how a policy that is gone ended, in place of the error's message; and the stack
-        of a policy that hangs or has crashed, to append to it. Empty for what is unknown.
-        """
+        """Return kind, message in place of the error's, and stack of a policy that hangs or crashed, if known."""
         return error.kind, "", ""
 
     def _drop(self) -> None:

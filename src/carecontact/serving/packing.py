@@ -142,10 +142,7 @@ pack, unpack = NATIVE.pack, NATIVE.unpack
 
 
 def _msgpack_of(data: bytes, *, max_bytes: int) -> object:
-    """Decode msgpack within the bounds of the wire, but leave arrays as the maps in which they travel.
-
-    Raises ContractError: not msgpack, trailing bytes, a repeated key, or a size or count over its bound.
-    """
+    """Decode msgpack within the bounds of the wire, leaving arrays as maps. Raises ContractError."""
     if len(data) > max_bytes:
         raise ContractError(f"message: expected at most {max_bytes} bytes, got {len(data)}")
     left = MAX_VALUES

@@ -209,11 +209,8 @@ def _delta_card(spec: object, profile: str, orientation: str, *, wanted: Mapping
 
 
 def _space(spec: object, named: str | None) -> str:
-    """Return our action space for a server's specification of its actions, and the space that the address names.
-
-    Raises PolicyError ``handshake`` if no space here executes such actions, if the named one is another than the
-    server's, and if nothing decides between several.
-    """
+    """Return our action space for a server's specification of its actions. Raises PolicyError ``handshake`` if none
+    fits, or several do."""
     if not is_map(spec):
         raise PolicyError("handshake", f"action_spec: expected a map, got {spec!r:.80}")
     parts = ", ".join(

@@ -221,12 +221,8 @@ def detectable_from_standard_error(
 
 
 def _smallest(power_at: Callable[[float], float], power: float, largest: float) -> float | None:
-    """Return the difference at which the power, which grows with it, reaches ``power``; None if it does not up to
-    ``largest``.
-
-    By bisection and not by scipy's root finding: the returned difference does reach the power, also where the power
-    jumps, and the published results keep their last digits.
-    """
+    """Return the least difference with which ``power`` is reached, also where the power jumps; None if it is not up to
+    ``largest``."""
     if power_at(largest) < power:
         return None
     low, high = 0.0, largest
