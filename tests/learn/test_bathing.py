@@ -147,7 +147,7 @@ def test_ends_as_gymnasium_says(blind: Bathing) -> None:
     last, reward, terminated, truncated, info = blind.step(DONE)
     assert (reward, terminated, truncated, info["ended"]) == (0.0, True, False, "done")
     assert last in blind.observation_space
-    with pytest.raises(ConfigError, match="before the episode has ended"):
+    with pytest.raises(ConfigError, match="the trial has ended"):
         blind.step(DOWNWARD)
 
 
