@@ -44,8 +44,8 @@ def passed(folders):
 
 
 def each(work, folders, jobs=None):
-    """Return what ``work`` makes of each recording of ``passed``, in ``jobs`` processes, by default one per core. Ends
-    the program where there is none."""
+    """Return what ``work`` makes of each recording of ``passed``, in ``jobs`` processes, by default one per core.
+    Raises SystemExit if no demonstration passed."""
     try:
         recordings = passed(folders)
     except CarecontactError as error:

@@ -13,6 +13,7 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.recording import Recording, write_recording
 from carecontact.runs import score_run, write_scores
 from carecontact.runs.pooling import RunScores
+from carecontact.stats import person_rate
 from tests.protocol.held import HELD, ship_frozen
 from tests.report.synthetic import FAILED, NO_CONTACT, PROTOCOL, Run, fill, make_score, whole_trial
 from tests.scoring.synthetic import touch
@@ -102,6 +103,16 @@ def shown(
     monkeypatch.setattr(scores, "_protocol", lambda run, folder: protocol)
     print_scores(RunScores(scores=made), Path("nowhere"), None, verbose=True)
     return capsys.readouterr().out
+
+
+def test_the_verdict_has_an_interval_over_persons_from_six_seeds_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = [make_score("T1", seed, protocol_id="bathing-wide-v2 L2", safety_gated=seed < 3) for seed in range(6)]
+    over = person_rate([s.safety_gated for s in made], persons=range(6))
+    interval = f"3 of 6 trials (50 %, 95 % interval over persons {100 * over.low:.0f} to {100 * over.high:.0f} %)"
+    assert interval in shown(made, capsys, monkeypatch)
+    assert "3 of 5 trials (60 %) of" in shown(made[:5], capsys, monkeypatch)
 
 
 def test_seven_tasks_fit_80_columns_and_no_name_is_cut(

@@ -15,7 +15,7 @@ import pytest
 from carecontact import __version__
 from carecontact.cli import main
 from carecontact.cli.answers import schema_of
-from carecontact.cli.board import BoardEntry, recordings_sha256
+from carecontact.cli.board import BoardEntry, best_beside, recordings_sha256
 from carecontact.policies.registry import SHIPPED
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import TrialSpec
@@ -25,6 +25,8 @@ from carecontact.runs import score_run, submission, write_scores
 from carecontact.runs.identity import identity_of
 from carecontact.runs.manifest import MANIFEST, write_manifest
 from carecontact.runs.results_file import RESULTS_NAME
+from carecontact.scoring import TrialScore
+from tests.report.synthetic import make_score
 from tests.scoring.synthetic import hold, make_recording, target_segment
 
 RULES = load_protocol("bathing-wide-v2", level="L2")
@@ -106,6 +108,18 @@ def test_an_entry_has_the_numbers_of_the_run_beside_floor_and_ceiling(
     assert sum(level.failures.values()) == sum(not score.region_correct for score in scores)
     assert (level.policy_s, level.trial_s) == (0.75, 5.0)
     assert level.recordings_sha256 == recordings_sha256(reversed(scores))
+
+
+def test_of_equal_baselines_the_one_with_more_success_before_safety_is_the_floor() -> None:
+    def made(policy: str, success: int) -> list[TrialScore]:
+        return [
+            make_score("T1", seed, policy=policy, c3_success=seed < success, safety_gated=seed < 1) for seed in range(3)
+        ]
+
+    floor = best_beside("blind", [made("hover", 1), made("replay", 3), made("zero-action", 2)])
+    assert floor is not None
+    assert (floor.policy, floor.passes.whole.n, floor.seeds) == ("replay", 1, "0-2")
+    assert best_beside("privileged", [made("hover", 1)]) is None
 
 
 def test_missing_trials_are_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,6 +31,7 @@ from carecontact.report.sweep_texts import (
 )
 from carecontact.runs.sweep import ALL, AXIS, NONE, only_factor, without_factor
 from carecontact.scoring import TrialScore
+from carecontact.stats import person_rate
 from tests.report.synthetic import FAILED, make_score
 
 ROLES: dict[str, Role] = {"blind": "blind", "still": "blind", "truth": "privileged"}
@@ -391,6 +392,19 @@ def test_equal_policies_have_no_order_to_lose() -> None:
     result = found(({"body": "x"}, {"a": "+-", "b": "+-"}), ({"body": "y"}, {"a": "++", "b": "++"}))
     assert (result.same, result.taus, result.unordered) == (2, (), 2)
     assert result.orders[0].equal == 2
+
+
+def test_intervals_of_the_table_are_over_persons() -> None:
+    scores = [
+        make_score(task, seed, protocol_id="bathing-wide-v2 L2", safety_gated=seed % 2 == 0)
+        for seed in range(6)
+        for task in ("T1", "T3")
+    ]
+    cell = CellScores(label="a", values={"body": "x"}, folder="cells/a", planned=12, scores=scores)
+    head, row = (line.split(",") for line in as_csv(sweep_table("bodies", [cell], rank_by="safety_gated")).splitlines())
+    at = head.index("safety_gated")
+    over = person_rate([s.safety_gated for s in scores], persons=[s.seed for s in scores])
+    assert [float(value) for value in row[at + 2 : at + 4]] == [100 * over.low, 100 * over.high]
 
 
 def test_the_table_has_a_row_for_each_cell_and_says_what_lacks() -> None:

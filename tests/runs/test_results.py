@@ -67,7 +67,7 @@ def test_a_force_above_the_gate_before_a_crash_counts() -> None:
 
 @pytest.mark.parametrize("persons", [5, 6])
 def test_an_interval_is_over_persons_where_a_seed_is_one(persons: int) -> None:
-    """Of two trials of each person, all or none pass: an interval over trials would be too narrow."""
+    """Both trials of a person pass, or both fail, so that an interval over trials would be too narrow."""
     level = {"protocol_id": "bathing-wide-v2 L2"}
     scores = [
         (GENTLE if seed % 2 else MISSED).model_copy(update={**level, "task_id": task, "seed": seed})

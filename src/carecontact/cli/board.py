@@ -12,7 +12,7 @@ from pydantic import Field
 
 from carecontact.cli.answers import Answer, Part
 from carecontact.recording import open_recording
-from carecontact.report.baselines import role_in
+from carecontact.report.baselines import ALL, floor_of, role_in
 from carecontact.report.comparison import trials_by_key
 from carecontact.runs.plan import compact
 from carecontact.runs.pooling import judged, rate_of
@@ -134,16 +134,17 @@ def share_of(scores: Sequence[TrialScore], field: str = "safety_gated") -> Share
 def best_beside(
     role: Literal["blind", "privileged"], runs: Iterable[Sequence[TrialScore]], method: Sequence[TrialScore] = ()
 ) -> Beside | None:
-    """Return the policy of a role that passes most, on the method's trials, or on all of its own if none is shared; of
-    equal ones, that with more success before safety, as ``floor_of`` chooses."""
-    keys, found = trials_by_key(method), list[tuple[float, float, Beside]]()
+    """Return the policy of a role that passes most (``floor_of``), on the method's trials, or on all of its own if none
+    is shared."""
+    keys, found = trials_by_key(method), dict[str, Sequence[TrialScore]]()
     for scores in runs:
         if role_in(scores) == role:
-            scores = [s for s in scores if (s.task_id, s.seed) in keys] or list(scores)
-            seeds = compact({s.seed for s in scores})
-            beside = Beside(policy=scores[0].policy_title, seeds=seeds, passes=passes_of(scores))
-            found.append((beside.passes.whole.pc or 0.0, share_of(scores, "c3_success").pc or 0.0, beside))
-    return max(found, key=lambda each: each[:2], default=(0.0, 0.0, None))[2]
+            shared = judged(s for s in scores if (s.task_id, s.seed) in keys)
+            found[scores[0].policy_title] = shared or judged(scores)
+    if not found:
+        return None
+    best = found[floor_of(found.values())[ALL].policy]
+    return Beside(policy=best[0].policy_title, seeds=compact({s.seed for s in best}), passes=passes_of(best))
 
 
 def level_of(submission: Submission, beside: Sequence[Sequence[TrialScore]]) -> BoardLevel:

@@ -124,7 +124,7 @@ class LookAndPress(StateMachine):
         yield [Action(done=True)]
 
     def _press(self, legs: Sequence[Leg], seen: Observation) -> Part[bool]:
-        """Move over the skin, feel the arm's own force there, come down, and press; return whether to the end."""
+        """Move over the skin, feel the arm's own force there, come down, and press. Return whether it finished."""
         over, down, strokes = legs[:CONTACT], legs[CONTACT], legs[CONTACT + 1 : -2]
         above, pose, out = end(over[-1]), end(down), -matrix_from_quat(down.quat_wxyz)[:, 2]
         settles_s = SETTLES_S if self._own is None else 0.0

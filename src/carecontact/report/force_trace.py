@@ -88,8 +88,8 @@ def force_trace(recording: Recording, score: TrialScore) -> ForceTrace:
 
 
 def _limits(contact: Contact) -> tuple[Limit, ...]:
-    """Return the limits of the named region's segment, and of the other segment nearest to its own; of touched ones
-    if any was touched."""
+    """Return the limits of the named region's segment, and of the other segment that came nearest to its own. A segment
+    that was never touched has none, unless no segment was touched."""
     protocol, action = contact.protocol, contact.task.action
     largest = contact.force_norm.max(axis=0, initial=0.0)
     drawn = [contact.target] if largest[contact.target] or not largest.any() else []
