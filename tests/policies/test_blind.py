@@ -18,6 +18,8 @@ from carecontact.policies.state_machine import StateMachine
 from tests.interface.lying_person import LIMB_RADIUS, Person, observe
 from tests.policies.synthetic import BOUNDS, SESSION, synthetic_observation, synthetic_view
 
+PROMPT = "gently touch the right forearm"
+
 
 def over_the_forearm(person: Person) -> np.ndarray:
     return (person.elbow + person.wrist) / 2 + [0.0, 0.0, LIMB_RADIUS + HEIGHT_M]
@@ -39,6 +41,23 @@ def test_hover_waits_over_the_region_and_never_comes_nearer(
     assert person.clearance(poses[:, :3]).min() > HEIGHT_M - 0.01
     steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) * policy.card.control_hz
     assert steps.max() <= 0.25 + 1e-9
+
+
+def test_hover_travels_below_the_top_of_the_workspace(observation: Observation) -> None:
+    """Its targets were refused on bathing-droid-v1, where heavy persons lie close under that top."""
+    start, top = observation.pose_tcp_in_base.copy(), 0.3
+    start[2] = 0.2
+    highest = []
+    for high in (BOUNDS.workspace_high_m[2], top):
+        policy = Hover()
+        policy.configure(
+            dataclasses.replace(SESSION, action_bounds=dataclasses.replace(BOUNDS, workspace_high_m=(1.0, 0.6, high)))
+        )
+        policy.reset(PROMPT)
+        actions = policy.act(dataclasses.replace(observation, pose_tcp_in_base=start))
+        highest.append(max(action.pose_tcp_in_base[2] for action in actions))
+    assert highest[0] > top
+    assert highest[1] == top
 
 
 def test_hover_that_finds_no_person_ends_where_it_is() -> None:
@@ -76,9 +95,6 @@ def test_needs_what_its_card_asks_for() -> None:
     blind = dataclasses.replace(synthetic_view(), depth=None)
     with pytest.raises(ContractError, match="depth image"):
         policy.act(synthetic_observation(cameras={"overhead": blind}))
-
-
-PROMPT = "gently touch the right forearm"
 
 
 def test_it_comes_near_goes_back_waits_and_then_acts_as_its_base(person: Person, observation: Observation) -> None:

@@ -12,6 +12,7 @@ from carecontact.protocol.overrides import overridden
 from carecontact.protocol.person import Breathing
 from carecontact.runs.sweep import Cell, cells_of, factor_protocols, places_of, read_plan
 
+PLANS = Path(__file__).parents[2] / "examples" / "cluster"
 PLAN = """
 tasks = "T1,T3"
 seeds = "0-1"
@@ -41,9 +42,13 @@ stiffness = [200, 400]
 def planned(folder: Path, text: str) -> list[Cell]:
     file = folder / "p.toml"
     file.write_text(text)
+    return cells_in(file)
+
+
+def cells_in(file: Path) -> list[Cell]:
     plan = read_plan(file)
     policies = [(each.label or each.policy, each.policy, {}, ()) for each in plan.policies]
-    return cells_of(plan, places_of(plan, named="p.toml"), policies)
+    return cells_of(plan, places_of(plan, named=file.name), policies)
 
 
 def test_the_cells_are_all_combinations_and_each_has_what_it_says(tmp_path: Path) -> None:
@@ -205,6 +210,20 @@ def test_each_factor_is_switched_on_alone_and_off_alone() -> None:
 def test_a_group_that_makes_no_factor_is_refused(groups: dict[str, list[str]], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         factor_protocols(LOW, HIGH, groups, place="f")
+
+
+def test_a_table_that_one_level_lacks_is_one_factor() -> None:
+    levels = load_levels("bathing-wide-v2")
+    found = factor_protocols(levels["L1"], levels["L2"], {}, place="f")
+    assert found["only distractors"].distractors == levels["L2"].distractors
+    assert found["all but distractors"].distractors is None
+    back = factor_protocols(levels["L2"], levels["L1"], {}, place="f")
+    assert back["only distractors"].distractors is None
+
+
+@pytest.mark.parametrize("path", sorted(PLANS.glob("*.toml")), ids=lambda path: path.stem)
+def test_the_plans_among_the_examples_have_cells(path: Path) -> None:
+    assert cells_in(path)
 
 
 def test_levels_that_are_the_same_have_no_factors() -> None:

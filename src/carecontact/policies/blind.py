@@ -107,6 +107,10 @@ class Hover:
 
     def __init__(self) -> None:
         self._place: tuple[str, str] | None = None
+        self._highest_m = np.inf
+
+    def configure(self, session: Session) -> None:
+        self._highest_m = session.action_bounds.workspace_high_m[2]
 
     def reset(self, instruction: str) -> None:
         """Read the region and its side, whatever the action is. Raises LanguageError if rules-v1 finds none."""
@@ -129,7 +133,7 @@ class Hover:
         over = geometry.centre_m + HEIGHT_M * UP
         wait = Leg.to(over, radial_quat(geometry.centre_m), NEAR_SPEED_M_S, hold_s=hold_s)
         clear = float(person_points(observation.cameras[CAMERA])[:, 2].max()) + TRAVEL_CLEARANCE_M
-        return travel(observation.pose_tcp_in_base, [wait], travel_height_m=clear)
+        return travel(observation.pose_tcp_in_base, [wait], travel_height_m=min(clear, self._highest_m))
 
 
 OVER_S, WAIT_S = 2.0, 3.0
@@ -156,8 +160,9 @@ class FeintAndWait:
         self._began = False
 
     def configure(self, session: Session) -> None:
-        if hasattr(self._base, "configure"):
-            self._base.configure(session)
+        for policy in (self._hover, self._base):
+            if hasattr(policy, "configure"):
+                policy.configure(session)
 
     def reset(self, instruction: str) -> None:
         self._began = False

@@ -51,7 +51,7 @@ def factor_protocols(
             factor of its own, named by its last part.
         place: how messages name the plan's table.
     """
-    easy, hard = _fields(low), _fields(high)
+    easy, hard = _fields(low, high), _fields(high, low)
     differ = [path for path in hard if hard[path] != easy.get(path)]
     for factor, paths in groups.items():
         for path in paths:
@@ -86,18 +86,20 @@ def _at(place: str) -> Iterator[None]:
         raise ConfigError(f"{place}: {error}") from None
 
 
-def _fields(protocol: Protocol) -> dict[str, object]:
-    """Dotted path -> value of every field of a table, those of what the person does by itself one by one."""
-    tables: dict[str, BaseModel] = {
-        name: table for name in Protocol.model_fields if isinstance(table := getattr(protocol, name), BaseModel)
-    }
-    tables["person.alive"] = protocol.person.alive
-    return {
-        path: getattr(table, field)
-        for name, table in tables.items()
-        for field in type(table).model_fields
-        if (path := f"{name}.{field}") not in tables
-    }
+def _fields(protocol: Protocol, other: Protocol) -> dict[str, object]:
+    """Dotted path -> value of every field of a table, those of what the person does by itself one by one. A table that
+    only one of the two protocols has is one field.
+    """
+    tables = {name: (getattr(protocol, name), getattr(other, name)) for name in Protocol.model_fields}
+    tables["person.alive"] = (protocol.person.alive, other.person.alive)
+    found: dict[str, object] = {}
+    for name, (table, others) in tables.items():
+        if isinstance(table, BaseModel) and isinstance(others, BaseModel):
+            fields = {f"{name}.{field}": getattr(table, field) for field in type(table).model_fields}
+            found |= {path: value for path, value in fields.items() if path not in tables}
+        elif isinstance(table, BaseModel) or isinstance(others, BaseModel):
+            found[name] = table
+    return found
 
 
 Value = str | int | float | bool
