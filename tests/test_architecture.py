@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import pkgutil
 import re
 import subprocess
 import sys
@@ -41,6 +42,21 @@ def test_a_package_says_in_one_sentence_what_lives_there(package: str) -> None:
     docstring = ast.get_docstring(ast.parse((PACKAGE / package / "__init__.py").read_text()))
     assert docstring is not None
     assert re.findall(r"[.!?](?=\s|$)", docstring) == ["."], docstring
+
+
+NAMED = re.compile(rf"``((?:{'|'.join(name for name in PACKAGES if '/' not in name)})(?:\.\w+)+)``")
+
+
+def test_what_docstrings_point_to_exists() -> None:
+    missing = list[str]()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for name in NAMED.findall(path.read_text()):
+            try:
+                pkgutil.resolve_name(f"carecontact.{name}")
+            except (ImportError, AttributeError):
+                if not name.endswith(".json"):
+                    missing.append(f"{path.relative_to(PACKAGE)}: {name}")
+    assert not missing
 
 
 # What must not be loaded: the walls that import-linter draws, seen from a running interpreter.

@@ -42,7 +42,7 @@ from carecontact.sensing.keypoints import KeyPoints, PoseEstimator
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, pointing_down
-from carecontact.world.randomization import posture_of
+from carecontact.world.draws import posture_of
 from carecontact.world.scene import build_scene
 from reachability import inverse
 

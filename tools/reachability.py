@@ -28,7 +28,7 @@ from carecontact.protocol.load import load_protocol
 from carecontact.protocol.overrides import overridden
 from carecontact.protocol.protocol import Protocol
 from carecontact.world.arm_kinematics import Arm, follow, pointing_down
-from carecontact.world.randomization import Place
+from carecontact.world.draws import Place
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

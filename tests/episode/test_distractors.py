@@ -13,7 +13,7 @@ from carecontact.interface.robot import CONTROLS
 from carecontact.protocol.sections import OTHER_COLOURS
 from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Simulation
-from carecontact.world.randomization import clutter_of
+from carecontact.world.draws import clutter_of
 from carecontact.world.room import TOWEL
 from tests.episode.test_foam import NEAR_PX, pixels_of, place_px
 from tests.protocol.foamy import LEVELS

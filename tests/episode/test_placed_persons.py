@@ -10,7 +10,7 @@ from carecontact.episode.placed_persons import PlacedPerson, placed_person, surv
 from carecontact.episode.randomization import draw
 from carecontact.protocol.load import load_protocol
 from carecontact.protocol.protocol import Protocol
-from carecontact.world.randomization import body_of, overhead_of, place_of, posture_of
+from carecontact.world.draws import body_of, overhead_of, place_of, posture_of
 
 L1, L2, L3 = (load_protocol("bathing-wide-v2", level=name) for name in ("L1", "L2", "L3"))
 SEED = 10

@@ -34,8 +34,8 @@ from carecontact.recording import Recording
 from carecontact.scoring.validity import check_finite_streams
 from carecontact.sensing.calibration import BELIEVED, TRUE
 from carecontact.tissue.plugin import Law
-from carecontact.world import randomization
-from carecontact.world.randomization import STREAMS, arm_bias_of, posture_of
+from carecontact.world import draws
+from carecontact.world.draws import STREAMS, arm_bias_of, posture_of
 
 SHIPPED = load_protocol("bathing-v3")
 PROTOCOL = SHIPPED.model_copy(update={"randomization": SHIPPED.randomization.model_copy(update={"drawn_as": ""})})
@@ -135,7 +135,7 @@ def test_every_draw_of_a_salted_trial_uses_its_salt(monkeypatch: pytest.MonkeyPa
     variation = PROTOCOL.variation.model_copy(update=varied)
     protocol = PROTOCOL.model_copy(update={"person": person, "variation": variation})
     used: list[str] = []
-    for module in (episode_randomization, randomization):
+    for module in (episode_randomization, draws):
         monkeypatch.setattr(module, "streams", lambda *given: used.append(given[2]) or streams(*given))
     spec = TrialSpec(protocol=protocol, task_id="T1", seed=0, policy="zero-action", salt="5a" * 32)
     with Episode(spec, card=PolicyCard(name="blind", control_hz=20.0)) as episode:

@@ -17,7 +17,7 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import ArmErrors
 from carecontact.sim.impedance import tcp_pose_in_base
 from carecontact.sim.simulation import Simulation
-from carecontact.world.randomization import arm_bias_of
+from carecontact.world.draws import arm_bias_of
 from carecontact.world.scene import build_scene
 
 IDEAL = load_protocol("bathing-v3")

@@ -18,7 +18,7 @@ from carecontact.lab.validation.subject import skin_points
 from carecontact.recording.schema import SEGMENTS
 from carecontact.sim.simulation import SensorHistory, Simulation
 from carecontact.system import CACHE_VARIABLE
-from carecontact.world.randomization import Place, move_person
+from carecontact.world.draws import Place, move_person
 from carecontact.world.room import SUPPORT
 from carecontact.world.scene import Scene
 from tests.sim.conftest import COMFORT_ARM_DEG

@@ -17,7 +17,7 @@ from carecontact.scoring import TrialScore, score_recording
 from carecontact.serving.conversation import PolicySetup
 from carecontact.sim.impedance import steps_of_period
 from carecontact.sim.simulation import Simulation
-from carecontact.world.randomization import posture_of
+from carecontact.world.draws import posture_of
 from carecontact.world.scene import build_scene
 from tests.lab.validation.defects import (
     half_stiff,

@@ -128,7 +128,7 @@ class Meta(BaseModel):
     cell: dict[str, Any]
     """``arm`` is the name of a baked one; ``robot_base_m``, ``robot_yaw_deg`` and ``cameras`` are the protocol's."""
     calibration: dict[str, list[list[float]]]
-    """Fixed camera -> (4, 4) error with which the cell knows its pose (``observation.calibration``); empty where the
+    """Fixed camera -> (4, 4) error with which the cell knows its pose (``sensing.calibration``); empty where the
     cell knows the poses exactly."""
     arguments: dict[str, str] = {}
     """The card's arguments. For a dialect, they say how its messages are made."""

@@ -17,7 +17,7 @@ from carecontact.protocol.protocol import commitment
 from carecontact.recording import Recording, read_recording
 from carecontact.runs.manifest import MANIFEST, committed
 from carecontact.sensing.calibration import BELIEVED, TRUE, Calibration
-from carecontact.world.randomization import arm_bias_of, draw_shifts
+from carecontact.world.draws import arm_bias_of, draw_shifts
 
 OF_THE_WORLD = "body, posture, place, robot's base, bias of its arm, or camera"
 ARM_DEG = 3.0

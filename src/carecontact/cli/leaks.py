@@ -61,7 +61,7 @@ class Leaks:
         from carecontact.cli.policy import arguments_text, check_policy, policy_setup
         from carecontact.policies.registry import POLICIES, is_privileged
         from carecontact.runs.plan import check_protocol, parse_tasks
-        from carecontact.world.randomization import body_of
+        from carecontact.world.draws import body_of
 
         if self.run is not None:
             return self._audit_time(self.run)

@@ -20,13 +20,13 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import BasePlacement
 from carecontact.sim.simulation import Simulation
 from carecontact.world.arm_kinematics import Arm, follow
-from carecontact.world.randomization import Place, Posture, overhead_of, place_of
+from carecontact.world.draws import Place, Posture, overhead_of, place_of
 from carecontact.world.scene import build_scene
 
 Array = npt.NDArray[np.float64]
 
 ALONG_M = 0.06
-"""Distance [m] of both ends of a scrub from the middle of a region (``policies.state_machine.fixed_values``)."""
+"""Distance [m] of both ends of a scrub from the middle of a region (``policies.state_machine.SCRUB_HALF_STROKE_M``)."""
 NEAR_M = 0.025
 """The height of the skin at a place is that of the highest vertex within this horizontal distance [m]."""
 EVERY = 12

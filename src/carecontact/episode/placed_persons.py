@@ -32,7 +32,7 @@ from carecontact.protocol.person import Alive
 from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Variation
 from carecontact.tissue.plugin import loaded_sha256
-from carecontact.world.randomization import Posture, body_of, place_of, posture_of, streams
+from carecontact.world.draws import Posture, body_of, place_of, posture_of, streams
 from carecontact.world.room import BED_HALF_M
 
 if TYPE_CHECKING:

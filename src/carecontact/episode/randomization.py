@@ -21,7 +21,7 @@ from carecontact.sensing.builder import SensorNoise
 from carecontact.sensing.calibration import Calibration, draw_calibration
 from carecontact.sim.simulation import Settled, Simulation
 from carecontact.tissue.plugin import loaded_sha256, set_law
-from carecontact.world.randomization import (
+from carecontact.world.draws import (
     UNMOVED,
     Place,
     arm_bias_of,

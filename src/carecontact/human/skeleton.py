@@ -42,8 +42,8 @@ from carecontact.interface.regions import REGIONS, Tube
 # Engin and Chen 1987, J Biomech Eng 109:318, gave the passive torque of ten elbows beyond their range as a cubic in the
 # angle (their coefficients were not read; the form is that of a public database's entry on the paper). Riener and
 # Edrich 1999, J Biomech 32:539, use exponentials, which rise in a similar way. The strength of the stop is our choice:
-# a limp arm that an examiner's pull swings into its end (``validation.passive_response``) goes at most 5 degrees past
-# it, which is the accuracy with which ranges of motion are read. Real ends are softer and begin earlier.
+# a limp arm that an examiner's pull swings into its end (``lab.validation.passive_response``) goes at most 5 degrees
+# past it, which is the accuracy with which ranges of motion are read. Real ends are softer and begin earlier.
 
 REACHED_RAD = float(np.radians(5.0))
 PULL_NM = {

@@ -33,7 +33,7 @@ class Growth:
     """Thickness gained for each kg/m^2."""
     weakening: float
     """Force falls with thickness to this power. It comes from finite elements with the middle skin
-    (``validation.fem``): force at 4 mm past touch of the region's reference indenter, thickness at a BMI of 32 against
+    (``lab.fem``): force at 4 mm past touch of the region's reference indenter, thickness at a BMI of 32 against
     man-adult's."""
     source: str
 

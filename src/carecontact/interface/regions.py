@@ -169,7 +169,7 @@ class Region:
 
 REGIONS: Registry[Region] = Registry("region", row=Region)
 """Name -> row. Other packages add rows through the entry-point group ``carecontact.regions``. Policies may read it: a
-module that registers a region must import nothing of carecontact but ``carecontact.regions``."""
+module that registers a region must import nothing of carecontact but ``carecontact.interface.regions``."""
 
 STANDARD_REGIONS = ("forearm", "upper_arm", "abdomen")
 """Regions that every world and every recording has, in this order: there the person is soft whatever the tasks are. Any

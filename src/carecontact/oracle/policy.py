@@ -332,7 +332,7 @@ class Oracle:
 
 
 def _pressed(geometry: RegionGeometry, action: str) -> list[Leg]:
-    """Put the motion on the skin instead of below it, because the force control adds the depth (``oracle.press``)."""
+    """Put the motion on the skin instead of below it, because the force control adds the depth (``Press``)."""
     if action == "touch":
         return touch(geometry, key_point=0.5, depth_m=0.0, speed_m_s=fixed.TOUCH_SPEEDS_M_S[0])
     legs = scrub(_with_room(geometry), key_point=0.5, depth_m=0.0, speed_m_s=fixed.SCRUB_SPEEDS_M_S[0])

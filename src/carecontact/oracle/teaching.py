@@ -19,7 +19,7 @@ from carecontact.interface.action_spaces import clip_action
 from carecontact.interface.geometry import quat_from_matrix
 from carecontact.oracle.policy import Oracle
 from carecontact.policies.motion import CONTROL_HZ
-from carecontact.world.randomization import words
+from carecontact.world.draws import words
 
 F64 = npt.NDArray[np.float64]
 

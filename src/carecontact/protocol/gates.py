@@ -74,7 +74,7 @@ class TouchGate(Section):
 
 
 class ForceBand(Section):
-    """The range in which a gate requires the held force (``scoring.held_force``) to be."""
+    """The range in which a gate requires the held force (``scoring.contact.held_force``) to be."""
 
     least_n: Positive
     most_n: Positive
@@ -144,7 +144,7 @@ class Conduct(Section):
     above_s: Annotated[float | None, Field(ge=0)] = None
     """Longest time above the band, in all [s]."""
     band_n: tuple[Positive, Positive] | None = None
-    """Range in which the held force (``scoring.held_force``) has to be for ``band_s`` [N]."""
+    """Range in which the held force (``scoring.contact.held_force``) has to be for ``band_s`` [N]."""
     band_s: Positive | None = None
     """Least time in ``band_n``, in all [s]."""
     comfortable_share: Fraction | None = None

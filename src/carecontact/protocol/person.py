@@ -90,7 +90,7 @@ class Alive(Section):
     """How the right arm bears being moved. People with dementia often resist movement without wanting to, or go along
     with it (oppositional and facilitatory paratonia; Drenth et al. 2020, J Alzheimers Dis 78:1615, abstract): ``holds``
     keeps muscles tense, ``helps`` takes most of the passive joints' resistance away. Their sizes are assumed
-    (``world.life``)."""
+    (``world.draws.TONE``, ``HELP``)."""
 
     @property
     def uses_the_arm(self) -> bool:
@@ -149,7 +149,7 @@ class Tissue(Section):
     friction: Annotated[float, Field(gt=0, le=2)]
     bmi_kg_m2: Annotated[float, Field(ge=10, le=80)] | None = None
     """Body mass index of the person whom thickness and law are of: on another body they change with its own
-    (``world.human.build``). None: they are the same on every body."""
+    (``human.soft_region.tissue_of``). None: they are the same on every body."""
     source: Annotated[str, Field(min_length=1)]
     calibration: Calibration | None = None
     """None for a row that ``carecontact calibrate`` did not write."""

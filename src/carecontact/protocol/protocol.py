@@ -44,7 +44,7 @@ REPLACED_WORDS = {
     "lock": "differences from its lock ({})",
 }
 """Dotted path of a replaced field -> its words; any other path stands for itself. ``lock`` is not a field: it
-stands for a run on a protocol that differs from its lock (``runs.freeze``)."""
+stands for a run on a protocol that differs from its lock (``protocol.lock``)."""
 CAMERA_NAMES = ("overhead", "bedside", "exterior", "wrist")
 
 

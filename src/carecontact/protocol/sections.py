@@ -190,11 +190,11 @@ class Variation(Section):
     """What else a seed changes; by default nothing. Contact and motion of the person against the bed stay."""
 
     appearance: Literal["baked", "varied-v1"] = "baked"
-    """Skin tone, clothes and hair: the body's own, or drawn (``world.human.appearance``)."""
+    """Skin tone, clothes and hair: the body's own, or drawn (``human.skin.draw_appearance``)."""
     light: Literal["fixed", "varied-v1"] = "fixed"
-    """Strength, direction and colour: ``world.light``."""
+    """Strength, direction and colour: ``world.room.draw_light``."""
     depth_noise: Literal["none", "structured-light-v1"] = "none"
-    """``observation.sensor_noise``"""
+    """``sensing.builder.structured_light``"""
     encoder_noise_rad: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Standard deviation, every joint and reading on its own. The joints' speeds get noise that belongs to it
     (``sensing.builder.SPEED_PER_ANGLE``)."""
@@ -203,14 +203,14 @@ class Variation(Section):
     place_across_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The same across the bed."""
     place_yaw_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
-    """The same, turned about the vertical through the right shoulder (``world.randomization.Place``)."""
+    """The same, turned about the vertical through the right shoulder (``world.draws.Place``)."""
     calibration_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """Standard deviation of the error with which the cell knows where each fixed camera is, along each axis."""
     calibration_deg: Annotated[float, Field(ge=0, le=5)] = 0.0
-    """The same about each axis of the camera (``observation.calibration``)."""
+    """The same about each axis of the camera (``sensing.calibration``)."""
     tissue: Literal["declared", "published-v1"] = "declared"
     """How stiff the soft regions are: as ``person.tissue`` says, or that times a factor that is drawn from published
-    differences between people (``world.human.spread``)."""
+    differences between people (``human.soft_region.Spread``)."""
     place_toward_head_m: Annotated[float | None, Field(ge=0, le=0.2)] = None
     """Farthest toward the head, where that is less than ``place_along_m``: patients slide down in bed, not up."""
     bodies: tuple[str, ...] = ()
@@ -292,8 +292,8 @@ class Vision(Section):
 
     segmenter: Literal["mediapipe", "grounded-sam"] = "mediapipe"
     weights_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
-    """Hash of the folder of weights that the user supplied (``observation.weights``); empty for mediapipe, which has
-    its own in its wheel."""
+    """Hash of the folder of weights that the user supplied (``sensing.grounded_sam.weights_sha256``); empty for
+    mediapipe, which has its own in its wheel."""
 
 
 class Level(Section):

@@ -184,8 +184,8 @@ class Header(BaseModel):
     """model, body and mesh assets, and the binary of the compiled tissue (``kernel``)"""
     solver_warnings: list[str]
     drawn: dict[str, Any] = {}
-    """What the seed drew of body, arm, place, robot's base and overhead camera (``episode.drawn``); empty where the
-    protocol draws none of them. For the scorer, never for a policy."""
+    """What the seed drew of body, arm, place, robot's base and overhead camera (``episode.randomization.drawn_facts``);
+    empty where the protocol draws none of them. For the scorer, never for a policy."""
 
     @property
     def body(self) -> str:

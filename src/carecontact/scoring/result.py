@@ -72,9 +72,9 @@ class TrialScore(BaseModel):
     """Canonical hash of the recording that was scored."""
     world: dict[str, str]
     """What was put into the simulation: declared versions of ``world``, ``kernel``, ``perception`` and ``noise``
-    (``recording.versions.DECLARED``), the hashes of ``body`` and ``robot``, the version of ``mujoco``, the ``control``,
-    and the hash of the ``salt``, as far as recorded. Where the protocol draws bodies, ``body`` is called ``drawn
-    body``, because it is the seed's. ``rejected_tissue`` names regions whose calibration was rejected, if any."""
+    (``recording.provenance.DECLARED``), the hashes of ``body`` and ``robot``, the version of ``mujoco``, the
+    ``control``, and the hash of the ``salt``, as far as recorded. Where the protocol draws bodies, ``body`` is called
+    ``drawn body``, because it is the seed's. ``rejected_tissue`` names regions whose calibration was rejected."""
     provenance: dict[str, str]
     """What computed and drew it: ``arithmetic``, ``renderer`` and the hashes of the compiled ``model`` and of the
     ``kernel``, as far as recorded. Two machines differ here, and their trials may be compared. ``origin`` is there
@@ -125,8 +125,8 @@ class TrialScore(BaseModel):
     """Share of the region's contact time spent deeper than the tissue is valid (``beyond_calibrated@2``)."""
     skin_in_tool: float | None = None
     """How far the skin lay inside the tool at the largest force, over half of the tool's thickness
-    (``scoring.tool_in_skin``). Only a trial in which this is more than 1 has it; its forces say nothing about a person.
-    None for any other trial."""
+    (``scoring.score.skin_in_tool``). Only a trial in which this is more than 1 has it; its forces say nothing about a
+    person. None for any other trial."""
     peak_force_n: dict[str, float]
     """Segment -> peak, touched segments only."""
     f_pain_n: dict[str, float] = {}

@@ -30,7 +30,7 @@ from carecontact.protocol.protocol import Protocol
 from carecontact.protocol.sections import Camera
 from carecontact.recording.schema import SEGMENTS
 from carecontact.tissue.life import add_life
-from carecontact.world.randomization import UNMOVED, Place
+from carecontact.world.draws import UNMOVED, Place
 from carecontact.world.robot import add_robot, replace_impedance
 from carecontact.world.room import add_furniture, add_light, add_towel
 

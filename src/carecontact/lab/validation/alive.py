@@ -24,7 +24,7 @@ from carecontact.sim.rendering import SceneRenderer
 from carecontact.sim.simulation import Samples, Simulation
 from carecontact.sim.state import skin_in_world
 from carecontact.tissue.life import JOINTS, PARTS, Life, MotionScript, Move, breath
-from carecontact.world.randomization import LIFT_RAD
+from carecontact.world.draws import LIFT_RAD
 
 Indices = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]

@@ -25,7 +25,7 @@ from carecontact.protocol.person import Alive, Breathing, Repositioning, Withdra
 from carecontact.protocol.sections import Variation
 from carecontact.system import CACHE_VARIABLE
 from carecontact.tissue.life import MOST_MOVES
-from carecontact.world.randomization import (
+from carecontact.world.draws import (
     REST_S,
     WIDEST_M,
     Place,
