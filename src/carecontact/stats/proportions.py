@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from math import sqrt
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from carecontact.stats.values import check_count, check_counts, check_level, scipy_stats
-
-# Of scipy, which has no types here, as in policies.voxposer.planner.
-special: Any = import_module("scipy.special")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +60,12 @@ def mcnemar_exact(only_first: int, only_second: int) -> McNemar:
     """
     only_first, only_second = (check_count("discordant pairs", k) for k in (only_first, only_second))
     n = only_first + only_second
-    # Every run's page has such tests, and scipy.stats would take longer to import than to make the page.
-    fewer = min(only_first, only_second)
-    pvalue = min(1.0, 2 * float(special.bdtr(fewer, n, 0.5)))
+    # In whole numbers: every run's page has such tests, and scipy takes longer to import than the page to make.
+    term = total = 1
+    for k in range(1, min(only_first, only_second) + 1):
+        term = term * (n - k + 1) // k
+        total += term
+    pvalue = min(1.0, 2 * total / 2**n)
     return McNemar(pvalue=pvalue, only_first=only_first, only_second=only_second)
 
 
