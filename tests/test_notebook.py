@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 CELLS = json.loads((Path(__file__).parents[1] / "examples/first_hour.ipynb").read_text())["cells"]
 CODE = ["".join(cell["source"]) for cell in CELLS if cell["cell_type"] == "code"]
 
@@ -18,6 +20,7 @@ def test_it_is_short_stored_without_outputs_and_compiles() -> None:
         compile(code, "cell", "exec")
 
 
+@pytest.mark.slow
 def test_its_code_runs_to_a_comparison(tmp_path: Path) -> None:
     script = tmp_path / "notebook.py"
     script.write_text("\n".join(CODE))

@@ -184,7 +184,9 @@ def test_standard_output_without_space(option: list[str]) -> None:
 
 
 def test_a_run_without_standard_output(tmp_path: Path) -> None:
-    command = f"{sys.executable} -m carecontact run --policy zero-action --tasks T1 --seeds 0 --fast --out r"
+    command = (
+        f"{sys.executable} -m carecontact run --policy zero-action --protocol bathing-v3 --tasks T1 --seeds 0 --out r"
+    )
     done = subprocess.run(
         ["sh", "-c", f"{command} --set phases.time_limit_s=1 >&- 2>&-"],
         env={**os.environ, "PYTHONPATH": SOURCES}, cwd=tmp_path, capture_output=True, check=False,
@@ -194,7 +196,19 @@ def test_a_run_without_standard_output(tmp_path: Path) -> None:
 
 
 def test_a_run_whose_reader_goes_away_is_no_other_run(tmp_path: Path) -> None:
-    command = ["run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0-1", "--out", "r"]
+    command = [
+        "run",
+        "--policy",
+        "zero-action",
+        "--protocol",
+        "bathing-v3",
+        "--tasks",
+        "T1",
+        "--seeds",
+        "0-1",
+        "--out",
+        "r",
+    ]
     with subprocess.Popen(
         [sys.executable, "-m", "carecontact", *command, "--set", "phases.time_limit_s=1"],
         env={**os.environ, "PYTHONPATH": SOURCES},

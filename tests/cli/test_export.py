@@ -34,6 +34,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_two_builds_are_the_same_bytes(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", "paper", "run", "--out", "one"]) == 0
     printed = capsys.readouterr().out.splitlines()

@@ -89,7 +89,7 @@ def command(folder: Path, wait: str, *, also: str = "leaderless") -> list[str]:
     (folder / "mine.py").write_text(PREAMBLE + POLICY.replace("WAIT", wait).replace("ALSO", also))
     return [
         sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
-        "0-1", "--fast", "--jobs", "1", "--policy-write", ".",
+        "0-1", "--fast", "--protocol", "bathing-v3", "--jobs", "1", "--policy-write", ".",
     ]  # fmt: skip
 
 

@@ -244,9 +244,10 @@ def test_synonyms_are_understood(capsys: pytest.CaptureFixture[str]) -> None:
             "ModuleNotFoundError(\"No module named 'ai_edge_litert'\")",
             "`carecontact doctor` prints the command that installs it",
         ),
-        (
+        pytest.param(
             "ImportError('libGLESv2.so.2: no such file')",
             "cannot be imported (libGLESv2.so.2: no such file); `carecontact doctor` prints",
+            marks=pytest.mark.slow,
         ),
     ],
 )

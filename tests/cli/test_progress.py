@@ -190,14 +190,16 @@ FAULTS = {
 HINT = "Look for a division by 0 or an unset value in the policy&#39;s output."
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(fault, marks=[pytest.mark.slow] * (fault in ("hanging", "killed"))) for fault in FAULTS]
+)
 def test_a_policy_that_fails_ends_with_status_3_and_its_traceback(tmp_path: Path, fault: str) -> None:
     act, message, place = FAULTS[fault]
     (tmp_path / "my.py").write_text(POLICY.replace("{act}", act))
     done = subprocess.run(
         [
             sys.executable, "-m", "carecontact", "run", "--policy", "my:Faulty", "--tasks", "T1", "--seeds", "0",
-            "--out", "r", "--fast", "--set", "phases.first_call_deadline_s=4",
+            "--out", "r", "--fast", "--protocol", "bathing-v3", "--set", "phases.first_call_deadline_s=4",
         ],
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": SOURCES}, capture_output=True, text=True, check=False,
     )  # fmt: skip
@@ -309,6 +311,7 @@ def test_what_is_suspect_about_the_first_answer_and_what_was_clipped_is_named_on
     (tmp_path / "my.py").write_text(XYZW)
     monkeypatch.chdir(tmp_path)
     run = ["run", "--policy", "my:Suspect", "--tasks", "T1", "--seeds", "0-1", "--out", "r", "--fast", "--jobs", "1"]
+    run += ["--protocol", "bathing-v3"]
     assert main(run) == 0
     printed = capsys.readouterr().out
     first, clipped = (line for line in printed.splitlines() if line.startswith("warning: "))

@@ -521,7 +521,7 @@ def test_nothing_is_left_running(tmp_path: Path, how: str, sandbox: bool) -> Non
     (tmp_path / "mine.py").write_text(PREAMBLE + POLICY)
     command = [
         sys.executable, "-m", "carecontact", "run", "--policy", "mine:P", "--out", "r", "--tasks", "T1", "--seeds",
-        "17", "--fast", "--policy-write", "message",
+        "17", "--fast", "--protocol", "bathing-v3", "--policy-write", "message",
     ]  # fmt: skip
     terminal = _Terminal()
     theirs = terminal.theirs

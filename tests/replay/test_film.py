@@ -109,6 +109,7 @@ def test_a_browser_plays_the_video(tmp_path: Path) -> None:
 SMALL = (160, 90)
 
 
+@pytest.mark.slow
 def test_the_pictures_do_not_depend_on_the_number_of_processes(pressed: Recording) -> None:
     one, two = (list(Film(pressed, fps=4, size=SMALL, panel=False).frames(1.9, 2.8, jobs=jobs)) for jobs in (1, 2))
     assert len(one) == len(two) > 2

@@ -142,6 +142,7 @@ def test_a_server_that_dies_in_a_trial_is_that_trials_failure(tmp_path: Path) ->
     assert failure.kind == "died"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("folders_on_disk")
 def test_a_server_that_dies_before_its_first_answer_loses_no_trial(tmp_path: Path) -> None:
     source, killer = kill_in_act(1, tmp_path)

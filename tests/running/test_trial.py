@@ -82,6 +82,7 @@ def spec(policy: str, task: str = "T1", seed: int = 0) -> TrialSpec:
     return TrialSpec(protocol=load_protocol("bathing-v3"), task_id=task, seed=seed, policy=policy)
 
 
+@pytest.mark.slow
 def test_same_spec_in_fresh_processes_gives_the_same_recording(policies: Path, tmp_path: Path) -> None:
     """Of a policy with an argument and a variable: both are in the recording, but not the variable's value."""
     hashes = []
@@ -226,7 +227,9 @@ def test_blank_pictures_end_as_a_perception_failure_and_touch_nothing(
 # What isolates a policy changes nothing of its trial.
 
 
-@pytest.mark.parametrize("policy", ["hover", pytest.param("state-machine", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "policy", ["random", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hover", "state-machine"))]
+)
 def test_the_hash_is_the_same_with_and_without_isolation(
     policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -200,6 +200,7 @@ def test_the_chest_shows_no_triangles() -> None:
     assert steps[inside[:, 1:]].max() <= 2
 
 
+@pytest.mark.slow
 def test_paint_does_not_depend_on_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     body, worn = load_body("woman-old-light"), draw_appearance(np.random.default_rng(3))
     monkeypatch.setenv(CACHE_VARIABLE, "")

@@ -180,7 +180,10 @@ def test_the_stored_table_tells_what_it_was_made_of() -> None:
         assert (held["thickness_m"], held["limb_radius_m"]) == (case.ground.thickness_m, case.ground.limb_radius_m)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.region)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, id=c.region, marks=[pytest.mark.slow] * (c.region != "abdomen")) for c in CASES],
+)
 def test_the_stored_table_is_what_the_judge_says_today(case) -> None:
     found = solve.answer(case, MIDDLE)
     stored = [s for s in fem_table.standards() if s.region == case.region]
