@@ -118,6 +118,7 @@ def decoded(path: Path) -> list[np.ndarray]:
         return [frame.to_ndarray(format="rgb24") for frame in file.decode(file.streams.video[0])]
 
 
+@pytest.mark.slow
 def test_a_run_becomes_videos_and_what_is_there_is_kept(
     pressed_file: Path, pressed: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:

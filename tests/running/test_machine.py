@@ -287,7 +287,7 @@ def test_a_recording_that_found_no_space_stops_the_run_and_is_made_by_the_next(b
 
 def real_run(out: Path, **options: Any) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "carecontact", "run", "--policy", "zero-action", "--tasks", "T1", "--seeds", "0"]
-    command += ["--set", "phases.time_limit_s=1", "--out", str(out), "--allow-failures"]
+    command += ["--protocol", "bathing-v3", "--set", "phases.time_limit_s=1", "--out", str(out), "--allow-failures"]
     return subprocess.run(command, capture_output=True, text=True, **options)
 
 
