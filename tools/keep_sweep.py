@@ -26,6 +26,8 @@ from carecontact.runs.results_file import pack_results, share_passed
 from carecontact.runs.scoring import read_scores
 from carecontact.stats import median
 
+BY_ACTION = {"bathing-wide-v2 L2": "L2", "bathing-wide-v2 L3": "L3"}
+"""Levels whose trials a second table counts by action."""
 TABLE_BEGINS, TABLE_ENDS = "<!-- table -->\n", "<!-- end of the table -->\n"
 
 
@@ -83,7 +85,9 @@ def table(runs: list[RunScores]) -> str:
         families[run.scores[0].protocol_id.partition(" ")[0]].append(run)
     # The exam has levels and comes first.
     order = sorted(families.values(), key=lambda family: (" " not in family[0].scores[0].protocol_id, -len(family)))
-    return "\n".join(_levels(family) if " " in family[0].scores[0].protocol_id else _paper(family) for family in order)
+    made = [_levels(family) if " " in family[0].scores[0].protocol_id else _paper(family) for family in order]
+    exam = sorted((run for run in runs if run.scores[0].protocol_id in BY_ACTION), key=passed, reverse=True)
+    return "\n".join([*made[:1], *([_actions(exam)] if exam else []), *made[1:]])
 
 
 def _levels(runs: list[RunScores]) -> str:
@@ -96,6 +100,27 @@ def _levels(runs: list[RunScores]) -> str:
         row = (cells.get((title, protocol)) for protocol in protocols)
         rates = (f"{passed(run)} ({100 * passed(run) / len(run.scores):.0f} %)" if run else "not run" for run in row)
         lines.append(f"| {_named(title)} | {' | '.join(rates)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _actions(runs: list[RunScores]) -> str:
+    """Return how many touches, pushes and scrubs passed, and how many trials with 1 s of contact were harmless."""
+    rows: dict[str, dict[str, list[str]]] = defaultdict(dict)
+    actions = ("touch", "push", "scrub")
+    for run in runs:
+        tried = [[score for score in run.scores if score.action == action] for action in actions]
+        harmless = [h for score in run.scores if (h := score.additional.get("harmless@1")) is not None]
+        shares = [(sum(score.safety_gated for score in some), len(some)) for some in tried]
+        rows[run.scores[0].policy_title][run.scores[0].protocol_id] = [
+            f"{k}/{n}" for k, n in [*shares, (round(sum(harmless)), len(harmless))]
+        ]
+    head = [
+        f"{level}, {title}" for level in BY_ACTION.values() for title in ("touches", "pushes", "scrubs", "harmless")
+    ]
+    lines = [f"| policy | {' | '.join(head)} |", "|---" * (1 + len(head)) + "|"]
+    for title in rows:
+        cells = [cell for name in BY_ACTION for cell in rows[title].get(name, ["not run"] * 4)]
+        lines.append(f"| {_named(title)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

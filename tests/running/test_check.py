@@ -150,7 +150,7 @@ def test_a_good_policy_passes(checked) -> None:
     assert status == 0
     assert "the first observation of T7-s003, bathing-wide-v2 L2, twice" in out
     assert [line.split()[:2] for line in out.splitlines()[1:-1]] == [["ok", "card"], ["ok", "reset"], ["ok", "answer"]]
-    assert out.endswith("a run can work\n")
+    assert out.endswith("a run can work; --deep also tests what each input and each axis does\n")
 
 
 def test_nothing_listens(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,7 @@
-"""Policies that touch as no caregiver would pass no more of the exam than a blind arm does."""
+"""Policies that touch and scrub as no caregiver would pass no more of the exam than a blind arm does.
+
+A push is none of these tasks: it may bear 25 N, and where these policies push, they press no harder than a push may.
+"""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Check:
         elif check.warnings:
             print(f"a run can start, but look at the {counted(check.warnings, 'warning')} first")
         else:
-            print("a run can work")
+            print("a run can work" if deep else "a run can work; --deep also tests what each input and each axis does")
         return 0 if works else 1
 
 

@@ -310,7 +310,10 @@ class Episode:
                 "which recordings then say, or call it after the end"
             )
         if not self.measured:
-            raise ConfigError("Episode.progress: nothing was measured yet; call it after the first step")
+            raise ConfigError(
+                "Episode.progress: nothing was measured; call it after the first step of an episode that records or "
+                "is privileged"
+            )
         ended = Ended("time_limit") if self._ended is None else self._ended
         header = Header.model_construct(
             spec=self.spec,
