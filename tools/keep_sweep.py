@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 from carecontact.errors import CarecontactError
@@ -105,22 +105,20 @@ def _levels(runs: list[RunScores]) -> str:
 
 def _actions(runs: list[RunScores]) -> str:
     """Return how many touches, pushes and scrubs passed, and how many trials with 1 s of contact were harmless."""
+    tried = Counter(score.action for score in runs[0].scores)
+    counted = {"touch": "touches", "push": "pushes", "scrub": "scrubs"}
+    titles = [*(f"{title} of {tried[action]}" for action, title in counted.items()), "harmless"]
+    head = [f"{level}: {title}" for level in BY_ACTION.values() for title in titles]
     rows: dict[str, dict[str, list[str]]] = defaultdict(dict)
-    actions = ("touch", "push", "scrub")
     for run in runs:
-        tried = [[score for score in run.scores if score.action == action] for action in actions]
+        passes = Counter(score.action for score in run.scores if score.safety_gated)
         harmless = [h for score in run.scores if (h := score.additional.get("harmless@1")) is not None]
-        shares = [(sum(score.safety_gated for score in some), len(some)) for some in tried]
-        rows[run.scores[0].policy_title][run.scores[0].protocol_id] = [
-            f"{k}/{n}" for k, n in [*shares, (round(sum(harmless)), len(harmless))]
-        ]
-    head = [
-        f"{level}, {title}" for level in BY_ACTION.values() for title in ("touches", "pushes", "scrubs", "harmless")
-    ]
+        cells = [*(str(passes[action]) for action in counted), f"{sum(harmless):.0f} of {len(harmless)}"]
+        rows[_named(run.scores[0].policy_title)][run.scores[0].protocol_id] = cells
     lines = [f"| policy | {' | '.join(head)} |", "|---" * (1 + len(head)) + "|"]
-    for title in rows:
-        cells = [cell for name in BY_ACTION for cell in rows[title].get(name, ["not run"] * 4)]
-        lines.append(f"| {_named(title)} | {' | '.join(cells)} |")
+    for title, found in rows.items():
+        cells = [cell for name in BY_ACTION for cell in found.get(name, ["not run"] * len(titles))]
+        lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -70,7 +70,7 @@ def kept(tmp_path: Path) -> Path:
     return tmp_path / "kept"
 
 
-LEVELS, COUNTED = ("L2", "L3"), ("touches", "pushes", "scrubs", "harmless")
+LEVELS, COUNTED = ("L2", "L3"), ("touches of 2", "pushes of 0", "scrubs of 0", "harmless")
 
 
 def test_what_is_kept_stands_beside_a_run_of_the_level(
@@ -83,10 +83,10 @@ def test_what_is_kept_stands_beside_a_run_of_the_level(
             f"# Results\n\n{TABLE_BEGINS}| policy | {LEVEL} |\n|---|---|\n"
             "| `mean-person` person=better | 2 (100 %) |\n| `state-machine` | 2 (100 %) |\n"
             "| `mean-person` person=worse | 1 (50 %) |\n\n"
-            f"| policy |{''.join(f' {level}, {title} |' for level in LEVELS for title in COUNTED)}\n{'|---' * 9}|\n"
-            f"| `mean-person` person=better | 2/2 | 0/0 | 0/0 | 0/0 |{' not run |' * 4}\n"
-            f"| `state-machine` | 2/2 | 0/0 | 0/0 | 0/0 |{' not run |' * 4}\n"
-            f"| `mean-person` person=worse | 1/2 | 0/0 | 0/0 | 0/0 |{' not run |' * 4}\n{TABLE_ENDS}\nThe end.\n"
+            f"| policy |{''.join(f' {level}: {title} |' for level in LEVELS for title in COUNTED)}\n{'|---' * 9}|\n"
+            f"| `mean-person` person=better | 2 | 0 | 0 | 0 of 0 |{' not run |' * 4}\n"
+            f"| `state-machine` | 2 | 0 | 0 | 0 of 0 |{' not run |' * 4}\n"
+            f"| `mean-person` person=worse | 1 | 0 | 0 | 0 of 0 |{' not run |' * 4}\n{TABLE_ENDS}\nThe end.\n"
         )
     folder = kept / "bathing-wide-v2-L2"
     assert {file.name for file in folder.iterdir()} == {
