@@ -2,7 +2,7 @@
 
     carecontact run --policy look_and_press:Press --protocol bathing-v3 --tasks T1
 
-It presses the region's middle. The exam asks for the foam, which the shipped policy `look-and-press` finds by colour.
+It presses the middle of the region. In the exam, a touch has to meet the foam, and this policy does not look for it.
 
 The overhead camera takes a picture when the policy asks for one; the robot's encoders come at 20 Hz without asking. A
 picture tells where the skin is to about 10 mm, and 10 mm more or less of a stiff tool are 4 N. Therefore, the tool goes

@@ -44,6 +44,13 @@ def test_a_package_says_in_one_sentence_what_lives_there(package: str) -> None:
     assert re.findall(r"[.!?](?=\s|$)", docstring) == ["."], docstring
 
 
+def test_the_files_of_the_page_exist() -> None:
+    table = PAGE.partition("## Where is it?")[2].partition("\n## ")[0]
+    named = re.findall(r"`([a-z_]+/[\w/.*]*)`", table)
+    assert len(named) > 20
+    assert all(any(PACKAGE.glob(name)) for name in named), named
+
+
 NAMED = re.compile(rf"``((?:{'|'.join(name for name in PACKAGES if '/' not in name)})(?:\.\w+)+)``")
 
 

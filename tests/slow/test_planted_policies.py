@@ -1,6 +1,6 @@
 """Policies that touch and scrub as no caregiver would pass no more of the exam than a blind arm does.
 
-A push is none of these tasks: it may bear 25 N, and where these policies push, they press no harder than a push may.
+Pushes are not tested here. A push may reach 25 N, and these policies stay below that when they push.
 """
 
 from __future__ import annotations

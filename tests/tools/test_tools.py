@@ -14,6 +14,7 @@ from tools.net import main as net_main
 
 from carecontact.pictures import decoded
 from carecontact.protocol.load import load_protocol
+from carecontact.protocol.overrides import overridden
 from carecontact.recording import Recording, write_recording
 from carecontact.report.baselines import beside_shipped_scores
 from carecontact.runs.pooling import RunScores
@@ -22,7 +23,7 @@ from carecontact.runs.scoring import read_scores
 from carecontact.scoring import TrialScore
 from tests.report.synthetic import make_score
 from tests.scoring.synthetic import touch
-from tools import gallery, size, strength
+from tools import gallery, gate_stability, size, strength
 
 
 def test_a_column_for_each_seed_and_a_row_of_arms(tmp_path: Path) -> None:
@@ -68,6 +69,13 @@ def kept(tmp_path: Path) -> Path:
     (tmp_path / "kept").mkdir()
     (tmp_path / "kept" / "README.md").write_text(f"# Results\n\n{TABLE_BEGINS}old\n{TABLE_ENDS}\nThe end.\n")
     return tmp_path / "kept"
+
+
+@pytest.mark.parametrize("field", gate_stability.FIELDS)
+def test_each_gate_that_is_varied_is_one_of_the_exam(field: str) -> None:
+    exam = load_protocol("bathing-wide-v2", level="L2")
+    low, high = (overridden(exam, {f"gates.{field}": value}) for value in gate_stability.FIELDS[field])
+    assert len({exam.sha256, low.sha256, high.sha256}) == 3
 
 
 LEVELS, COUNTED = ("L2", "L3"), ("touches of 2", "pushes of 0", "scrubs of 0", "harmless")
